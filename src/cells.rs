@@ -1,0 +1,95 @@
+//! A cell list: who is near a place, at a cost linear in the number of particles.
+
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+
+/// A cell list: particles sorted by the cell they are in.
+#[derive(Clone, Debug, Default)]
+pub struct Cells<const D: usize> {
+    /// Cells along each axis.
+    per_axis: usize,
+    inverse_width: f64,
+    /// First slot of each cell, one more at the end.
+    start: Vec<u32>,
+    /// Cell of each row, and then row of each slot.
+    cell_of_row: Vec<u32>,
+    /// Row of each slot.
+    pub row_of_slot: Vec<u32>,
+}
+
+impl<const D: usize> Cells<D> {
+    /// Sorts particles into cells at least `reach` wide. Stable: equal positions, equal order.
+    pub fn sort(&mut self, positions: &[Vector<f64, D>], space: PeriodicBox, reach: f64) {
+        // More than a cell per particle along an axis would only cost memory.
+        let most = (positions.len() as f64).powf(1.0 / D as f64).ceil().max(1.0);
+        let per_axis = (space.length / reach).floor().clamp(1.0, most);
+        self.per_axis = per_axis as usize;
+        self.inverse_width = per_axis / space.length;
+        self.cell_of_row.clear();
+        for &position in positions {
+            let cell = self.index(self.coordinates(position));
+            self.cell_of_row.push(cell as u32);
+        }
+        self.count();
+    }
+
+    /// Counting sort by cell.
+    fn count(&mut self) {
+        self.start.clear();
+        self.start.resize(self.per_axis.pow(D as u32) + 1, 0);
+        for &cell in &self.cell_of_row {
+            self.start[cell as usize + 1] += 1;
+        }
+        for cell in 1..self.start.len() {
+            self.start[cell] += self.start[cell - 1];
+        }
+        self.row_of_slot.resize(self.cell_of_row.len(), 0);
+        for (row, &cell) in self.cell_of_row.iter().enumerate().rev() {
+            // Filling from the back turns each count's end into its start, and keeps the order.
+            let slot = &mut self.start[cell as usize + 1];
+            *slot -= 1;
+            self.row_of_slot[*slot as usize] = row as u32;
+        }
+        self.start.remove(0);
+        self.start.push(self.cell_of_row.len() as u32);
+    }
+
+    /// Cell coordinates of a position inside the box.
+    #[inline(always)]
+    pub fn coordinates(&self, position: Vector<f64, D>) -> [usize; D] {
+        position.0.map(|x| ((x * self.inverse_width) as usize).min(self.per_axis - 1))
+    }
+
+    #[inline(always)]
+    fn index(&self, coordinates: [usize; D]) -> usize {
+        coordinates.iter().rev().fold(0, |index, &c| index * self.per_axis + c)
+    }
+
+    /// Calls `visit` with the slots of every cell that touches the cell at `coordinates`, itself
+    /// included, each cell once even where the box is only one or two cells wide.
+    #[inline(always)]
+    pub fn around(&self, coordinates: [usize; D], mut visit: impl FnMut(std::ops::Range<usize>)) {
+        let n = self.per_axis;
+        let offsets: &[usize] = match n {
+            1 => &[0],
+            2 => &[0, 1],
+            _ => &[0, 1, n - 1],
+        };
+        let mut choice = [0; D];
+        loop {
+            let cell: [usize; D] =
+                std::array::from_fn(|axis| (coordinates[axis] + offsets[choice[axis]]) % n);
+            let index = self.index(cell);
+            visit(self.start[index] as usize..self.start[index + 1] as usize);
+            // Count up in base `offsets.len()`.
+            let Some(axis) = choice.iter().position(|&c| c + 1 < offsets.len()) else { break };
+            choice[axis] += 1;
+            choice[..axis].fill(0);
+        }
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (self.start.capacity() + self.cell_of_row.capacity() + self.row_of_slot.capacity())
+    }
+}

@@ -1,0 +1,100 @@
+//! The one error type of the crate.
+//!
+//! Callers act on three questions only (was the input bad, did the flow fail, did the disk fail), so
+//! there is one enum with one variant each; every message says what was expected, what was found and
+//! what to do, and [`Error::exit_code`] is what a command returns to the shell.
+
+use std::path::{Path, PathBuf};
+
+/// Why something could not be done.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A scene, array, recording or argument is not what it must be.
+    #[error("{place}: expected {expected}, found {found}; {remedy}")]
+    Input {
+        /// File, line and key, as exactly as known.
+        place: String,
+        /// What would have been right.
+        expected: String,
+        /// What is there.
+        found: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// The flow left the range in which its numbers mean anything.
+    #[error("the run diverged at step {step} (t = {time:.6}): {quantity} {found}; {remedy}")]
+    Diverged {
+        /// Which step.
+        step: u64,
+        /// Simulation time.
+        time: f64,
+        /// The quantity, and whose.
+        quantity: String,
+        /// Its value, and the bound it broke.
+        found: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// The operating system refused a file.
+    #[error("cannot {action} {}: {source}; {remedy}", path.display())]
+    File {
+        /// What was tried: "read", "create", "write".
+        action: &'static str,
+        /// On which file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+        /// What to do about it.
+        remedy: &'static str,
+    },
+}
+
+/// A result with the crate's [`Error`].
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    /// An [`Error::Input`] from anything that prints.
+    pub fn input(
+        place: impl ToString,
+        expected: impl ToString,
+        found: impl ToString,
+        remedy: impl ToString,
+    ) -> Self {
+        Self::Input {
+            place: place.to_string(),
+            expected: expected.to_string(),
+            found: found.to_string(),
+            remedy: remedy.to_string(),
+        }
+    }
+
+    /// An [`Error::File`] met while reading an input.
+    pub fn read(path: &Path, source: std::io::Error) -> Self {
+        Self::File {
+            action: "read",
+            path: path.to_owned(),
+            source,
+            remedy: "check that the file exists and may be read",
+        }
+    }
+
+    /// An [`Error::File`] met while writing a result.
+    pub fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::File {
+            action: "write",
+            path: path.to_owned(),
+            source,
+            remedy: "check that the folder exists, may be written and has room",
+        }
+    }
+
+    /// What a command returns to the shell: 2 for bad input (a missing input file included), 1 for a
+    /// run that failed.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Input { .. } => 2,
+            Self::File { action: "read", .. } => 2,
+            Self::Diverged { .. } | Self::File { .. } => 1,
+        }
+    }
+}

@@ -1,0 +1,434 @@
+//! One World is one flow: a scene becomes particles, resources and a schedule.
+
+use crate::error::{Error, Result};
+use crate::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
+use crate::models::{Model, Parameter, Parameters, Physics};
+use crate::scalar::{Lanes, WIDTH};
+use crate::scene::{Forcing, KernelName, Scene};
+use crate::sensitivity::Coupling;
+use crate::space::PeriodicBox;
+use crate::systems::acceleration::Law;
+use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
+use crate::systems::loss::{LossSum, Observations};
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::{
+    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Density, Identity, Position,
+    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocitySensitivity,
+};
+use crate::systems::verlet::{Clock, Integrator};
+use crate::systems::watch::Failure;
+use crate::systems::{self, Needs, Stirring};
+use crate::packed::PackedSensitivity;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Positions and velocities of all particles at one time, particle `k` in row `k`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State<const D: usize> {
+    /// Time.
+    pub time: f64,
+    /// `r`, inside the box.
+    pub positions: Vec<Vector<f64, D>>,
+    /// `v`.
+    pub velocities: Vec<Vector<f64, D>>,
+}
+
+impl<const D: usize> State<D> {
+    /// The lattice of a scene, first particle in the corner, shaken and set in motion by the
+    /// scene's seed.
+    pub fn initial(scene: &Scene) -> Self {
+        let per_side = scene.fluid.particles_per_side;
+        let spacing = scene.fluid.box_length / per_side as f64;
+        let space = PeriodicBox { length: scene.fluid.box_length };
+        let mut generator = stream(scene.seed, Stream::Initial);
+        let jitter = scene.initial.jitter;
+        let mut state = Self::default();
+        for mut index in 0..scene.particles() {
+            let corner = Vector::<f64, D>(std::array::from_fn(|_| {
+                let along = index % per_side;
+                index /= per_side;
+                along as f64 * spacing
+            }));
+            let mut shaken = corner;
+            for x in &mut shaken.0 {
+                *x += jitter * (2.0 * generator.random::<f64>() - 1.0);
+            }
+            state.positions.push(space.wrap(shaken));
+        }
+        let width = scene.initial.velocity;
+        let mut component = || width * generator.sample::<f64, _>(StandardNormal);
+        for _ in 0..scene.particles() {
+            state.velocities.push(Vector(std::array::from_fn(|_| component())));
+        }
+        state
+    }
+}
+
+/// Independent streams of random numbers of one seed.
+#[derive(Clone, Copy, Debug)]
+pub enum Stream {
+    /// Positions and velocities of the initial state.
+    Initial = 0,
+    /// The guess that a search starts from.
+    Guess = 1,
+}
+
+/// A portable generator: the same numbers on every machine.
+pub fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    // The stochastic forcing numbers its streams from zero with the time; these stay out of its way.
+    generator.set_stream(u64::MAX - stream as u64);
+    generator
+}
+
+/// What a flow is differentiated by.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Differentiation {
+    /// The learned parameters, one column each.
+    pub parameters: Vec<Parameter>,
+    /// Which derivatives are kept.
+    pub coupling: Coupling,
+}
+
+/// A World with its particles, its law and the order of its systems.
+pub struct Flow<const D: usize> {
+    world: World,
+    start: Schedule,
+    advance: Schedule,
+    started: bool,
+    law: Erased,
+    columns: Vec<Parameter>,
+}
+
+/// The few operations that need the model's type, which only the scene knows.
+#[derive(Clone, Copy)]
+struct Erased {
+    set: fn(&mut World, Parameters<f64>),
+    get: fn(&World) -> Parameters<f64>,
+}
+
+impl<const D: usize> Flow<D> {
+    /// The flow of a scene from its own initial state.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        Self::from_state(scene, &State::initial(scene))
+    }
+
+    /// The flow of a scene from a given state.
+    pub fn from_state(scene: &Scene, state: &State<D>) -> Result<Self> {
+        Self::build(scene, state, None, None)
+    }
+
+    /// The flow of a scene that carries sensitivities, is compared with observations, or both.
+    pub fn build(
+        scene: &Scene,
+        state: &State<D>,
+        differentiation: Option<&Differentiation>,
+        observations: Option<Observations<D>>,
+    ) -> Result<Self> {
+        if scene.dimension != D {
+            return Err(Error::input(
+                format!("scene {}", scene.name),
+                format!("dimension {D}"),
+                format!("dimension {}", scene.dimension),
+                "build a flow of the scene's dimension",
+            ));
+        }
+        let parts = (differentiation, observations);
+        // The one place where a scene's choice of a law becomes a type.
+        Ok(match scene.fluid.kernel {
+            KernelName::CubicSpline => Self::with_kernel::<CubicSpline>(scene, state, parts),
+            KernelName::WendlandC2 => Self::with_kernel::<WendlandC2>(scene, state, parts),
+            KernelName::WendlandC4 => Self::with_kernel::<WendlandC4>(scene, state, parts),
+        })
+    }
+
+    fn with_kernel<K: Kernel>(
+        scene: &Scene,
+        state: &State<D>,
+        parts: (Option<&Differentiation>, Option<Observations<D>>),
+    ) -> Self {
+        let smoothing = Smoothing::<K, D>::new(scene.fluid.smoothing_length);
+        let mass = scene.fluid.box_length.powi(D as i32) / state.positions.len() as f64;
+        Self::with_model(scene, state, parts, Physics::new(mass, smoothing, scene.parameters()))
+    }
+
+    fn with_model<M: Model<D>>(
+        scene: &Scene,
+        state: &State<D>,
+        (differentiation, observations): (Option<&Differentiation>, Option<Observations<D>>),
+        model: M,
+    ) -> Self {
+        let mut world = World::new();
+        let needs = Needs {
+            step: scene.time.step,
+            stirring: insert_forcing(&mut world, scene),
+            sensitivities: differentiation.is_some(),
+            loss: observations.is_some(),
+        };
+        insert_motion::<D>(&mut world, scene);
+        world.insert_resource(Law(model));
+        spawn_particles(&mut world, state);
+        let columns = differentiation.map(|d| d.parameters.clone()).unwrap_or_default();
+        if let Some(differentiation) = differentiation {
+            spawn_sensitivities::<D>(&mut world, state.positions.len(), differentiation);
+        }
+        if let Some(observations) = observations {
+            world.insert_resource(LossSum::new(columns.len().div_ceil(WIDTH)));
+            world.insert_resource(observations);
+        }
+        Self {
+            world,
+            start: systems::start::<M, D>(needs),
+            advance: systems::advance::<M, D>(needs),
+            started: false,
+            law: Erased {
+                set: |world, parameters| world.resource_mut::<Law<M>>().0.set_parameters(parameters),
+                get: |world| *world.resource::<Law<M>>().0.parameters(),
+            },
+            columns,
+        }
+    }
+
+    /// Finds density and force of the initial state, if that has not been done yet.
+    pub fn start(&mut self) -> Result<()> {
+        if !self.started {
+            self.started = true;
+            self.start.run(&mut self.world);
+        }
+        self.verdict()
+    }
+
+    /// One step; the first also starts the flow.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] where the flow can no longer be trusted; every later step repeats it.
+    pub fn step(&mut self) -> Result<()> {
+        self.start()?;
+        self.advance.run(&mut self.world);
+        self.verdict()
+    }
+
+    fn verdict(&mut self) -> Result<()> {
+        match &self.world.resource::<Failure>().0 {
+            None => Ok(()),
+            Some(Error::Diverged { step, time, quantity, found, remedy }) => Err(Error::Diverged {
+                step: *step,
+                time: *time,
+                quantity: quantity.clone(),
+                found: found.clone(),
+                remedy: remedy.clone(),
+            }),
+            Some(other) => Err(Error::input("the flow", "to run", other, "see above")),
+        }
+    }
+
+    /// Puts the flow back to a state at step zero, with sensitivities and loss at zero: the same
+    /// bits as a new flow from that state.
+    pub fn reset(&mut self, state: &State<D>) {
+        let mut rows =
+            self.world.query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
+        for (id, mut r, mut v, mut a) in rows.iter_mut(&mut self.world) {
+            r.0 = state.positions[id.0 as usize];
+            v.0 = state.velocities[id.0 as usize];
+            a.0 = Vector::zero();
+        }
+        let mut blocks = self.world.query::<(
+            &mut PositionSensitivity<D>,
+            &mut VelocitySensitivity<D>,
+            &mut AccelerationSensitivity<D>,
+        )>();
+        for (mut r, mut v, mut a) in blocks.iter_mut(&mut self.world) {
+            (r.0, v.0, a.0) = (no_change(), no_change(), no_change());
+        }
+        self.world.insert_resource(Clock { start: state.time, ..Clock::default() });
+        self.world.insert_resource(Failure::default());
+        if self.world.contains_resource::<LossSum>() {
+            self.world.insert_resource(LossSum::new(self.columns.len().div_ceil(WIDTH)));
+        }
+        self.world.resource_mut::<Neighbours<D>>().invalidate();
+        self.started = false;
+    }
+
+    /// The physical parameters in force.
+    pub fn parameters(&self) -> Parameters<f64> {
+        (self.law.get)(&self.world)
+    }
+
+    /// Puts other physical parameters in force, from the next force evaluation on.
+    pub fn set_parameters(&mut self, parameters: Parameters<f64>) {
+        (self.law.set)(&mut self.world, parameters);
+    }
+
+    /// Which parameters the sensitivities are for, column by column.
+    pub fn columns(&self) -> &[Parameter] {
+        &self.columns
+    }
+
+    /// The World, for systems and queries of the caller's own.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The World, to change.
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// The order of one step, to add systems to.
+    pub fn schedule_mut(&mut self) -> &mut Schedule {
+        &mut self.advance
+    }
+
+    /// Builds both schedules without running them: an error if two systems could run in either order.
+    pub fn check_order(&mut self) -> std::result::Result<(), String> {
+        for schedule in [&mut self.start, &mut self.advance] {
+            schedule.initialize(&mut self.world).map_err(|error| format!("{error:?}"))?;
+        }
+        Ok(())
+    }
+
+    /// Names of the systems of one step, in order.
+    pub fn systems(&mut self) -> Vec<String> {
+        if self.check_order().is_err() {
+            return Vec::new();
+        }
+        let short = |name: String| {
+            let path = name.split('<').next().unwrap_or_default().to_owned();
+            path.rsplit("::").take(2).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("::")
+        };
+        let systems = self.advance.systems();
+        systems.map(|all| all.map(|(_, s)| short(s.name().to_string())).collect()).unwrap_or_default()
+    }
+
+    /// Steps completed.
+    pub fn steps(&self) -> u64 {
+        self.world.resource::<Clock>().step
+    }
+
+    /// Simulation time.
+    pub fn time(&self) -> f64 {
+        let clock = self.world.resource::<Clock>();
+        clock.time_at(clock.step, self.dt())
+    }
+
+    /// The time step.
+    pub fn dt(&self) -> f64 {
+        self.world.resource::<Integrator>().dt
+    }
+
+    /// Positions and velocities, particle `k` in row `k`.
+    pub fn state(&mut self) -> State<D> {
+        let mut state = State { time: self.time(), ..State::default() };
+        let mut rows = self.world.query::<(&Identity, &Position<D>, &Velocity<D>)>();
+        let count = rows.iter(&self.world).count();
+        state.positions.resize(count, Vector::zero());
+        state.velocities.resize(count, Vector::zero());
+        for (id, r, v) in rows.iter(&self.world) {
+            state.positions[id.0 as usize] = r.0;
+            state.velocities[id.0 as usize] = v.0;
+        }
+        state
+    }
+
+    /// Densities, particle `k` in row `k`.
+    pub fn densities(&mut self) -> Vec<f64> {
+        let mut rows = self.world.query::<(&Identity, &Density)>();
+        let mut densities = vec![0.0; rows.iter(&self.world).count()];
+        rows.iter(&self.world).for_each(|(id, rho)| densities[id.0 as usize] = rho.0);
+        densities
+    }
+
+    /// Accelerations of the last force evaluation, particle `k` in row `k`.
+    pub fn accelerations(&mut self) -> Vec<Vector<f64, D>> {
+        let mut rows = self.world.query::<(&Identity, &Acceleration<D>)>();
+        let mut all = vec![Vector::zero(); rows.iter(&self.world).count()];
+        rows.iter(&self.world).for_each(|(id, a)| all[id.0 as usize] = a.0);
+        all
+    }
+
+    /// The loss accumulated so far, zero where nothing is observed.
+    pub fn loss(&self) -> LossSum {
+        self.world.get_resource::<LossSum>().cloned().unwrap_or_default()
+    }
+
+    /// How many of the observed frames count, from the next reset on.
+    pub fn set_window(&mut self, window: usize) {
+        if let Some(mut observations) = self.world.get_resource_mut::<Observations<D>>() {
+            observations.window = window.min(observations.frames.len());
+        }
+    }
+}
+
+fn no_change<const D: usize>() -> Vector<Lanes, D> {
+    Vector([Lanes::ZERO; D])
+}
+
+fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
+    match scene.forcing {
+        Forcing::None => Stirring::None,
+        Forcing::Deterministic { power, .. } => {
+            world.insert_resource(DeterministicForcing::new(power));
+            Stirring::Deterministic
+        }
+        Forcing::Stochastic { interval, strength } => {
+            world.insert_resource(StochasticForcing::new(scene.seed, interval, strength));
+            Stirring::Stochastic
+        }
+    }
+}
+
+fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
+    let space = PeriodicBox { length: scene.fluid.box_length };
+    let h = scene.fluid.smoothing_length;
+    world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
+    world.insert_resource(Clock::default());
+    world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
+    world.insert_resource(Cloud::<D>::default());
+    world.insert_resource(scene.limits);
+    world.insert_resource(Failure::default());
+}
+
+fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>) {
+    let rows = state.positions.iter().zip(&state.velocities).enumerate();
+    let particles: Vec<_> = rows
+        .map(|(id, (&r, &v))| {
+            let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
+            (Identity(id as u32), moving, Density::default())
+        })
+        .collect();
+    world.spawn_batch(particles);
+    world.resource_mut::<Clock>().start = state.time;
+}
+
+fn spawn_sensitivities<const D: usize>(
+    world: &mut World,
+    count: usize,
+    differentiation: &Differentiation,
+) {
+    let blocks = differentiation.parameters.len().div_ceil(WIDTH);
+    let mut cloud = SensitivityCloud::<D> { blocks: Vec::new(), coupling: differentiation.coupling };
+    for block in 0..blocks {
+        let rows = (0..count as u32).map(move |particle| {
+            let zero = no_change::<D>();
+            let of = BlockOf { particle, block: block as u32 };
+            let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
+            (of, moving, AccelerationSensitivity(zero))
+        });
+        world.spawn_batch(rows);
+        let mut directions = [Lanes::ZERO; Parameter::COUNT];
+        let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
+        for (lane, &parameter) in learned.enumerate() {
+            directions[parameter as usize] = Lanes::unit(lane);
+        }
+        cloud.blocks.push(SensitivityBlock {
+            packed: vec![PackedSensitivity::ZERO; count],
+            density: vec![Lanes::ZERO; count],
+            acceleration: vec![no_change(); count],
+            directions,
+        });
+    }
+    world.insert_resource(cloud);
+}

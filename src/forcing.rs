@@ -1,0 +1,211 @@
+//! What stirs the flow, appendix A.3: deterministic energy injection and stochastic large-scale modes.
+
+use crate::scalar::Lanes;
+use crate::vector::Vector;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// What `θ` means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Power {
+    /// `f = (θ/ke)(v − v̄)` with `ke` of the total velocity, as the paper prints it: injects `2θ`
+    /// less the mean flow's share (default).
+    #[default]
+    Paper,
+    /// `f = θ (v − v̄)/⟨|v − v̄|²⟩`: injects exactly `θ` per unit mass.
+    Exact,
+}
+
+/// Deterministic forcing: every velocity is pushed along its difference to the mean, so that the
+/// flow receives energy at a fixed rate and no momentum.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergyInjection {
+    /// Mean velocity `v̄`.
+    pub mean: [f64; 3],
+    /// What the velocity is measured from in `energy`: zero ([`Power::Paper`]) or `v̄`.
+    origin: [f64; 3],
+    /// `E`: `ke = ½⟨|v|²⟩`, or `⟨|v − v̄|²⟩`.
+    energy: f64,
+    /// `∂E/∂⟨|v − origin|²⟩`: ½ or 1.
+    share: f64,
+    /// `θ/E`; zero in a flow at rest, where no direction is preferred.
+    pub rate: f64,
+    theta: f64,
+}
+
+impl EnergyInjection {
+    /// The law for a flow of these velocities, `[x, y, z]` each.
+    pub fn new(theta: f64, power: Power, velocities: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
+        let count = velocities.clone().count().max(1) as f64;
+        let mut mean = [0.0; 3];
+        for v in velocities.clone() {
+            (0..3).for_each(|axis| mean[axis] += v[axis]);
+        }
+        let mean = mean.map(|sum| sum / count);
+        let (origin, share) = match power {
+            Power::Paper => ([0.0; 3], 0.5),
+            Power::Exact => (mean, 1.0),
+        };
+        let square = |v: [f64; 3]| (0..3).map(|a| (v[a] - origin[a]) * (v[a] - origin[a])).sum::<f64>();
+        let energy = share * velocities.map(square).sum::<f64>() / count;
+        let rate = if energy > 0.0 { theta / energy } else { 0.0 };
+        Self { mean, origin, energy, share, rate, theta }
+    }
+
+    /// `f = (θ/E)(v − v̄)`.
+    pub fn force<const D: usize>(&self, velocity: [f64; 3]) -> Vector<f64, D> {
+        Vector(std::array::from_fn(|axis| (velocity[axis] - self.mean[axis]) * self.rate))
+    }
+
+    /// How the law changes with the velocities: from `Σ δv` and `Σ (v − origin)·δv` over all
+    /// `count` particles, and `δθ`.
+    pub fn tangent<const D: usize>(
+        &self,
+        count: usize,
+        (sum, work): (Vector<Lanes, D>, Lanes),
+        theta: Lanes,
+    ) -> InjectionTangent<D> {
+        let each = 1.0 / count as f64;
+        let change = if self.energy > 0.0 {
+            let energy = work * (2.0 * self.share * each);
+            (theta - energy * (self.theta / self.energy)) / self.energy
+        } else {
+            Lanes::ZERO
+        };
+        InjectionTangent { mean: sum.map(|x| x * each), rate: change }
+    }
+
+    /// `(v − origin)·δv`, one particle's part of the work that `tangent` wants.
+    pub fn work<const D: usize>(&self, velocity: [f64; 3], change: Vector<Lanes, D>) -> Lanes {
+        let mut work = Lanes::ZERO;
+        for axis in 0..D {
+            work += change[axis] * (velocity[axis] - self.origin[axis]);
+        }
+        work
+    }
+}
+
+/// The rank-one couplings of [`EnergyInjection`]: `δv̄` and `δ(θ/E)`.
+#[derive(Clone, Copy, Debug)]
+pub struct InjectionTangent<const D: usize> {
+    /// `δv̄`.
+    pub mean: Vector<Lanes, D>,
+    /// `δ(θ/E)`.
+    pub rate: Lanes,
+}
+
+impl<const D: usize> InjectionTangent<D> {
+    /// `δf = (θ/E)(δv − δv̄) + δ(θ/E)(v − v̄)`.
+    pub fn force(
+        &self,
+        law: &EnergyInjection,
+        velocity: [f64; 3],
+        change: Vector<Lanes, D>,
+    ) -> Vector<Lanes, D> {
+        Vector(std::array::from_fn(|axis| {
+            (change[axis] - self.mean[axis]) * law.rate
+                + self.rate * (velocity[axis] - law.mean[axis])
+        }))
+    }
+}
+
+/// One wave of the stochastic forcing, `f = a cos(k·x + phase)` with `a ⟂ k`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mode {
+    /// Wave vector.
+    pub k: [f64; 3],
+    /// Amplitude, perpendicular to `k`: the force is free of divergence.
+    pub amplitude: [f64; 3],
+    /// Phase.
+    pub phase: f64,
+}
+
+impl Mode {
+    /// `k·x + phase`.
+    pub fn angle(&self, x: [f64; 3]) -> f64 {
+        self.k[0] * x[0] + self.k[1] * x[1] + self.k[2] * x[2] + self.phase
+    }
+}
+
+/// The modes `0 < |n| < 2.5` of a box of side `length`, one of each pair `±n` (10 in 2D, 40 in 3D),
+/// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`; phases (and directions in 3D) belong to the `interval`-th
+/// stretch of time of the flow with this `seed`, however long a step is.
+pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64) -> Vec<Mode> {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    generator.set_stream(interval);
+    let depth: &[i32] = if dimension == 3 { &[-2, -1, 0, 1, 2] } else { &[0] };
+    let plane = (-2..=2).flat_map(|x| (-2..=2).map(move |y| [x, y]));
+    let lattice = plane.flat_map(|[x, y]| depth.iter().map(move |&z| [x, y, z]));
+    let positive = |n: &[i32; 3]| n.iter().rev().find(|&&x| x != 0).is_some_and(|&x| x > 0);
+    let mut modes = Vec::new();
+    for n in lattice.filter(positive) {
+        let n = n.map(f64::from);
+        let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+        if size < 2.5 {
+            let phase = TAU * generator.random::<f64>();
+            let direction = perpendicular(n, dimension, TAU * generator.random::<f64>());
+            let strength = 0.25 * ((2.5 - size) / 1.5).powi(2);
+            modes.push(Mode {
+                k: n.map(|x| x * TAU / length),
+                amplitude: direction.map(|x| x * strength),
+                phase,
+            });
+        }
+    }
+    modes
+}
+
+/// A vector of length `|n|` perpendicular to `n`: `(−n_y, n_x)` in 2D, turned by `angle` around `n`
+/// in 3D.
+fn perpendicular(n: [f64; 3], dimension: usize, angle: f64) -> [f64; 3] {
+    if dimension == 2 {
+        return [-n[1], n[0], 0.0];
+    }
+    let n = glam::DVec3::from_array(n);
+    let (u, w) = n.normalize().any_orthonormal_pair();
+    ((u * angle.cos() + w * angle.sin()) * n.length()).to_array()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_are_10_modes_in_2d_and_40_in_3d_and_none_has_divergence() {
+        for (dimension, count) in [(2, 10), (3, 40)] {
+            let modes = stochastic_modes(dimension, 3.0, 1, 5);
+            assert_eq!(modes.len(), count);
+            for mode in modes {
+                let along: f64 = (0..3).map(|axis| mode.k[axis] * mode.amplitude[axis]).sum();
+                assert!(along.abs() < 1e-14);
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_seed_and_interval_draw_the_same_modes_and_others_do_not() {
+        assert_eq!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 7, 2));
+        assert_ne!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 7, 3));
+        assert_ne!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 8, 2));
+    }
+
+    #[test]
+    fn exact_power_is_theta_and_the_papers_is_twice_theta_without_mean_flow() {
+        let velocities = [[1.0, 0.5, 0.0], [-1.0, 0.25, 0.0], [0.0, -0.75, 0.0]];
+        for (power, expected) in [(Power::Exact, 0.3), (Power::Paper, 0.6)] {
+            let law = EnergyInjection::new(0.3, power, velocities.into_iter());
+            let work = |v: [f64; 3]| law.force::<3>(v).dot(Vector(v));
+            let power: f64 = velocities.into_iter().map(work).sum::<f64>() / 3.0;
+            assert!((power - expected).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_flow_at_rest_is_not_forced() {
+        let law = EnergyInjection::new(0.3, Power::Paper, [[0.0; 3]; 4].into_iter());
+        assert_eq!(law.force::<3>([0.0; 3]), Vector([0.0; 3]));
+    }
+}

@@ -1,0 +1,24 @@
+#![doc = include_str!("../README.md")]
+
+pub mod cells;
+pub mod error;
+pub mod flow;
+pub mod forcing;
+pub mod kernel;
+pub mod losses;
+pub mod models;
+pub mod packed;
+//pub mod recording;
+pub mod scalar;
+pub mod scene;
+pub mod sensitivity;
+pub mod space;
+pub mod state;
+#[path = "../systems/mod.rs"]
+pub mod systems;
+pub mod vector;
+pub mod viscosity;
+
+pub use error::{Error, Result};
+pub use flow::Flow;
+pub use scene::Scene;

@@ -1,0 +1,105 @@
+//! Losses: how far a predicted flow is from the truth, with exact gradients.
+//!
+//! Both losses here are sums of squares; each observed frame adds its residuals `R` and their
+//! derivatives `J = ∂R/∂θ` to one [`SquareSum`], which serves gradient descent (`2 Σ w R J`) and
+//! Levenberg–Marquardt (`Σ w J Jᵀ`) alike, in memory that does not grow with the number of residuals.
+
+mod field;
+mod trajectory;
+
+pub use field::{Mesh, Points, field, field_loss};
+pub use trajectory::trajectory_loss;
+
+use crate::scalar::{Lanes, WIDTH};
+
+/// A weighted sum of squared residuals, with its gradient and its Gauss–Newton matrix.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SquareSum {
+    /// `Σ w R²`.
+    pub value: f64,
+    /// `½ ∂value/∂θ = Σ w R J`, in blocks of eight parameters.
+    half_gradient: Vec<Lanes>,
+    /// `Σ w J Jᵀ`: row `a`, then blocks.
+    normal: Vec<Lanes>,
+}
+
+impl SquareSum {
+    /// An empty sum over `blocks` blocks of eight parameters.
+    pub fn new(blocks: usize) -> Self {
+        Self {
+            value: 0.0,
+            half_gradient: vec![Lanes::ZERO; blocks],
+            normal: vec![Lanes::ZERO; blocks * WIDTH * blocks],
+        }
+    }
+
+    /// Adds one residual whose derivative by the parameters of block `b` is `columns(b)`.
+    #[inline(always)]
+    pub fn add(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
+        self.value += weight * residual * residual;
+        let blocks = self.half_gradient.len();
+        for b in 0..blocks {
+            let weighted = columns(b) * weight;
+            self.half_gradient[b] += weighted * residual;
+            for (lane, slope) in weighted.to_array().into_iter().enumerate() {
+                let row = (b * WIDTH + lane) * blocks;
+                for other in 0..blocks {
+                    self.normal[row + other] += columns(other) * slope;
+                }
+            }
+        }
+    }
+
+    /// Adds another sum.
+    pub fn merge(&mut self, other: &Self) {
+        self.value += other.value;
+        for (a, b) in self.half_gradient.iter_mut().zip(&other.half_gradient) {
+            *a += *b;
+        }
+        for (a, b) in self.normal.iter_mut().zip(&other.normal) {
+            *a += *b;
+        }
+    }
+
+    /// `∂value/∂θ` of the first `count` parameters.
+    pub fn gradient(&self, count: usize) -> Vec<f64> {
+        let flat = self.half_gradient.iter().flat_map(|lanes| (*lanes * 2.0).to_array());
+        flat.take(count).collect()
+    }
+
+    /// The Gauss–Newton matrix `Σ w J Jᵀ` of the first `count` parameters, row by row.
+    pub fn normal(&self, count: usize) -> Vec<f64> {
+        let blocks = self.half_gradient.len();
+        let row = |a: usize| {
+            let lanes = &self.normal[a * blocks..(a + 1) * blocks];
+            lanes.iter().flat_map(|lanes| lanes.to_array()).take(count)
+        };
+        (0..count).flat_map(row).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_sum_is_the_sum_of_squares_with_its_gradient_and_normal_matrix() {
+        let slopes = |k: usize| [0.3 * k as f64 - 1.0, 0.7, 0.1 * (k * k) as f64];
+        let mut sum = SquareSum::new(1);
+        let (mut value, mut gradient, mut normal) = (0.0, [0.0; 3], [0.0; 9]);
+        for k in 0..5 {
+            let (weight, residual, j) = (0.5, 1.0 - 0.4 * k as f64, slopes(k));
+            let mut lanes = [0.0; WIDTH];
+            lanes[..3].copy_from_slice(&j);
+            sum.add(weight, residual, |_| Lanes::new(lanes));
+            value += weight * residual * residual;
+            for a in 0..3 {
+                gradient[a] += 2.0 * weight * residual * j[a];
+                (0..3).for_each(|b| normal[3 * a + b] += weight * j[a] * j[b]);
+            }
+        }
+        let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-14);
+        assert!(near(&[sum.value], &[value]));
+        assert!(near(&sum.gradient(3), &gradient) && near(&sum.normal(3), &normal));
+    }
+}

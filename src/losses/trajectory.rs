@@ -1,0 +1,31 @@
+//! The trajectory loss `L_tr`: every particle against its true self.
+
+use super::SquareSum;
+use crate::packed::{Packed, PackedSensitivity};
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+
+/// One frame's share of `L_tr = (1/N) Σ_frames Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`, position differences as
+/// minimum images.
+///
+/// `truth` gives `(r̂, v̂)` of the particle in a slot of `packed`; `blocks` are the sensitivities in
+/// the same order, none in a run that learns nothing. Tested in `tests/gradients.rs`.
+pub fn trajectory_loss<const D: usize>(
+    packed: &[Packed],
+    blocks: &[&[PackedSensitivity<D>]],
+    truth: impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>),
+    (space, weight): (PeriodicBox, f64),
+) -> SquareSum {
+    let mut sum = SquareSum::new(blocks.len());
+    let weight = weight / packed.len().max(1) as f64;
+    for (slot, particle) in packed.iter().enumerate() {
+        let (r, v) = truth(slot);
+        let position = space.minimum_image(Vector::from_3d(particle.position) - r);
+        let velocity = Vector::from_3d(particle.velocity) - v;
+        for axis in 0..D {
+            sum.add(weight, position[axis], |b| blocks[b][slot].position[axis]);
+            sum.add(weight, velocity[axis], |b| blocks[b][slot].velocity[axis]);
+        }
+    }
+    sum
+}

@@ -1,0 +1,48 @@
+//! The packed form in which particles meet their pairs.
+
+use crate::scalar::Lanes;
+use crate::vector::Vector;
+
+/// A particle as its pairs see it: one cache line.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct Packed {
+    /// Position, `z = 0` in 2D.
+    pub position: [f64; 3],
+    /// The velocity that the force sees.
+    pub velocity: [f64; 3],
+    /// Density `ρ`.
+    pub density: f64,
+    /// What the model says it brings to its pairs, `P/ρ²`.
+    pub stress: f64,
+}
+
+impl Packed {
+    /// Fills a neighbour list up to a whole number of lanes: so far away that every kernel is
+    /// exactly zero there, near enough that no square overflows.
+    pub const NOBODY: Self =
+        Self { position: [1e150; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
+}
+
+/// A particle's sensitivities as its pairs see them: one column of eight parameters per number.
+#[derive(Clone, Copy, Debug)]
+pub struct PackedSensitivity<const D: usize> {
+    /// `δr`.
+    pub position: Vector<Lanes, D>,
+    /// `δv` of the velocity that the force sees.
+    pub velocity: Vector<Lanes, D>,
+    /// `δρ`.
+    pub density: Lanes,
+    /// `δA`.
+    pub stress: Lanes,
+}
+
+impl<const D: usize> PackedSensitivity<D> {
+    /// No dependence on any parameter.
+    pub const ZERO: Self = Self {
+        position: Vector([Lanes::ZERO; D]),
+        velocity: Vector([Lanes::ZERO; D]),
+        density: Lanes::ZERO,
+        stress: Lanes::ZERO,
+    };
+}

@@ -1,0 +1,155 @@
+//! Eight numbers that move together: the SIMD direction of every hot loop.
+
+use super::{Scalar, operators_with_f64};
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// Numbers in one [`Lanes`]: one AVX-512 register of doubles, two of AVX2, four of NEON.
+pub const WIDTH: usize = 8;
+
+/// [`WIDTH`] doubles, added, multiplied and selected lane by lane.
+///
+/// A plain array: the compiler turns its loops into the widest instructions that the dispatched
+/// function may use. No operation is fused or reordered, so every instruction set gives the same bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(64))]
+pub struct Lanes([f64; WIDTH]);
+
+impl Lanes {
+    /// Zero in every lane.
+    pub const ZERO: Self = Self([0.0; WIDTH]);
+
+    /// Eight given numbers.
+    #[inline(always)]
+    pub const fn new(lanes: [f64; WIDTH]) -> Self {
+        Self(lanes)
+    }
+
+    /// One in lane `lane`, zero elsewhere.
+    pub fn unit(lane: usize) -> Self {
+        let mut lanes = [0.0; WIDTH];
+        lanes[lane] = 1.0;
+        Self(lanes)
+    }
+
+    /// The eight numbers.
+    #[inline(always)]
+    pub const fn to_array(self) -> [f64; WIDTH] {
+        self.0
+    }
+
+    /// The sum over the lanes, always paired in the same order.
+    #[inline(always)]
+    pub fn sum(self) -> f64 {
+        let [a, b, c, d, e, f, g, h] = self.0;
+        ((a + e) + (c + g)) + ((b + f) + (d + h))
+    }
+
+    #[inline(always)]
+    fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        let mut lanes = self.0;
+        for x in &mut lanes {
+            *x = f(*x);
+        }
+        Self(lanes)
+    }
+
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        let mut lanes = self.0;
+        for (x, y) in lanes.iter_mut().zip(other.0) {
+            *x = f(*x, y);
+        }
+        Self(lanes)
+    }
+}
+
+impl Scalar for Lanes {
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        Self([x; WIDTH])
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.map(f64::sqrt)
+    }
+    #[inline(always)]
+    fn exp(self) -> Self {
+        self.map(f64::exp)
+    }
+    #[inline(always)]
+    fn ln(self) -> Self {
+        self.map(f64::ln)
+    }
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        self.map(f64::tanh)
+    }
+    #[inline(always)]
+    fn powf(self, y: Self) -> Self {
+        self.zip(y, f64::powf)
+    }
+    #[inline(always)]
+    fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        let mut lanes = [0.0; WIDTH];
+        for (l, x) in lanes.iter_mut().enumerate() {
+            *x = if a.0[l] < b.0[l] { yes.0[l] } else { no.0[l] };
+        }
+        Self(lanes)
+    }
+}
+
+impl Neg for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.map(|x| -x)
+    }
+}
+
+impl Add for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, b: Self) -> Self {
+        self.zip(b, |x, y| x + y)
+    }
+}
+
+impl Sub for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, b: Self) -> Self {
+        self.zip(b, |x, y| x - y)
+    }
+}
+
+impl Mul for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, b: Self) -> Self {
+        self.zip(b, |x, y| x * y)
+    }
+}
+
+impl Div for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, b: Self) -> Self {
+        self.zip(b, |x, y| x / y)
+    }
+}
+
+impl AddAssign for Lanes {
+    #[inline(always)]
+    fn add_assign(&mut self, b: Self) {
+        *self = *self + b;
+    }
+}
+
+impl SubAssign for Lanes {
+    #[inline(always)]
+    fn sub_assign(&mut self, b: Self) {
+        *self = *self - b;
+    }
+}
+
+operators_with_f64!([] Lanes);

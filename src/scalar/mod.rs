@@ -1,0 +1,146 @@
+//! The number: one formula, four uses.
+//!
+//! Precision, differentiation and vectorisation are one axis, the type parameter `T: Scalar` of a law.
+//! `f64` and `f32` run it, [`Lanes`] runs it on eight pairs at once, [`Dual`] differentiates it, and
+//! they nest. Laws are branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the
+//! same path. Literals stand on the right of an operator: `q * 0.75 + 1.0`.
+
+mod dual;
+mod lanes;
+
+pub use dual::Dual;
+pub use lanes::{Lanes, WIDTH};
+
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// What a law of motion may do with a number.
+pub trait Scalar:
+    Copy
+    + Send
+    + Sync
+    + 'static
+    + Neg<Output = Self>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Add<f64, Output = Self>
+    + Sub<f64, Output = Self>
+    + Mul<f64, Output = Self>
+    + Div<f64, Output = Self>
+    + AddAssign
+    + SubAssign
+{
+    /// The number `x`, the same in every lane and with derivative zero.
+    fn of(x: f64) -> Self;
+    /// `√x`.
+    fn sqrt(self) -> Self;
+    /// `eˣ`.
+    fn exp(self) -> Self;
+    /// `ln x`.
+    fn ln(self) -> Self;
+    /// `tanh x`.
+    fn tanh(self) -> Self;
+    /// `xʸ` for `x > 0`.
+    fn powf(self, y: Self) -> Self;
+    /// `yes` where `a < b`, otherwise `no`; both are computed, and a NaN in `a` or `b` chooses `no`.
+    fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self;
+
+    /// The smaller of two numbers.
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self::select_less(self, other, self, other)
+    }
+
+    /// The larger of two numbers.
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self::select_less(other, self, self, other)
+    }
+}
+
+impl Scalar for f64 {
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        x
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        f64::sqrt(self)
+    }
+    #[inline(always)]
+    fn exp(self) -> Self {
+        f64::exp(self)
+    }
+    #[inline(always)]
+    fn ln(self) -> Self {
+        f64::ln(self)
+    }
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        f64::tanh(self)
+    }
+    #[inline(always)]
+    fn powf(self, y: Self) -> Self {
+        f64::powf(self, y)
+    }
+    #[inline(always)]
+    fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        if a < b { yes } else { no }
+    }
+}
+
+/// Operators of a type with plain numbers on the right, by way of [`Scalar::of`].
+macro_rules! operators_with_f64 {
+    ([$($generics:tt)*] $number:ty) => {
+        operators_with_f64!(@one [$($generics)*] $number, Add, add, +);
+        operators_with_f64!(@one [$($generics)*] $number, Sub, sub, -);
+        operators_with_f64!(@one [$($generics)*] $number, Mul, mul, *);
+        operators_with_f64!(@one [$($generics)*] $number, Div, div, /);
+    };
+    (@one [$($generics:tt)*] $number:ty, $operator:ident, $method:ident, $symbol:tt) => {
+        impl<$($generics)*> std::ops::$operator<f64> for $number {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: f64) -> Self {
+                self $symbol <Self as $crate::scalar::Scalar>::of(other)
+            }
+        }
+    };
+}
+use operators_with_f64;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A formula with every operation of the trait.
+    fn formula<T: Scalar>(x: T) -> T {
+        let y = (x * x + 1.0).sqrt() / 3.0 - (x * 0.3).exp() * (x + 2.0).ln();
+        (y.tanh() + (x + 2.0).powf(x * 0.5)).max(x) - y.min(-x)
+    }
+
+    #[test]
+    fn lanes_give_the_bits_of_single_numbers() {
+        let x: [f64; WIDTH] = std::array::from_fn(|l| 0.37 * l as f64 - 1.1);
+        let lanes = formula(Lanes::new(x)).to_array();
+        for (lane, x) in lanes.iter().zip(x) {
+            assert_eq!(lane.to_bits(), formula(x).to_bits());
+        }
+    }
+
+    #[test]
+    fn dual_numbers_differentiate_every_operation() {
+        for x in [-1.3, -0.2, 0.4, 1.9] {
+            let exact = formula(Dual::variable(x, 0, [0.0])).gradient[0];
+            let step = 1e-5;
+            let central = (formula(x + step) - formula(x - step)) / (2.0 * step);
+            assert!((exact - central).abs() < 1e-8, "{exact} against {central}");
+        }
+    }
+
+    #[test]
+    fn not_a_number_is_never_selected_by_comparison() {
+        assert_eq!(f64::select_less(f64::NAN, 0.0, 1.0, 2.0).to_bits(), 2.0_f64.to_bits());
+    }
+}

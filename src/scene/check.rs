@@ -1,0 +1,154 @@
+//! What a scene must satisfy beyond its types.
+
+use super::{Forcing, Learn, Optimiser, Scene};
+use crate::error::{Error, Result};
+use crate::models::Parameter;
+
+/// Requirement on one key: whether it holds, the key, what is expected, what is there.
+type Requirement = (bool, &'static str, &'static str, String);
+
+impl Scene {
+    /// Refuses numbers that no run could use; `origin` names the scene in the error.
+    pub fn check(&self, origin: &str) -> Result<()> {
+        let mut requirements = self.fluid_requirements();
+        requirements.extend(self.motion_requirements());
+        if let Some(learn) = &self.learn {
+            requirements.extend(learn_requirements(learn));
+            let learns_theta = learn.parameters.contains(&Parameter::Theta);
+            let forced = matches!(self.forcing, Forcing::Deterministic { .. });
+            requirements.push((
+                forced || !learns_theta,
+                "learn.parameters",
+                "theta only where forcing.kind is \"deterministic\"",
+                "theta without such a forcing".to_owned(),
+            ));
+        }
+        match requirements.into_iter().find(|(holds, ..)| !holds) {
+            None => Ok(()),
+            Some((_, key, expected, found)) => Err(Error::input(
+                format!("{origin}: {key}"),
+                expected,
+                found,
+                "change it in the scene or with --set",
+            )),
+        }
+    }
+
+    fn fluid_requirements(&self) -> Vec<Requirement> {
+        let f = &self.fluid;
+        let show = |x: f64| format!("{x}");
+        let fits = 2.0 * f.smoothing_length <= 0.5 * f.box_length;
+        vec![
+            (matches!(self.dimension, 2 | 3), "dimension", "2 or 3", self.dimension.to_string()),
+            (
+                f.particles_per_side > 0,
+                "fluid.particles_per_side",
+                "at least one particle",
+                "0 particles".to_owned(),
+            ),
+            (
+                f.particles_per_side <= if self.dimension == 2 { 8192 } else { 406 },
+                "fluid.particles_per_side",
+                "at most 67 million particles (8192 a side in 2D, 406 in 3D)",
+                f.particles_per_side.to_string(),
+            ),
+            (positive(f.box_length), "fluid.box_length", "a positive length", show(f.box_length)),
+            (
+                positive(f.smoothing_length),
+                "fluid.smoothing_length",
+                "a positive length",
+                show(f.smoothing_length),
+            ),
+            (
+                fits,
+                "fluid.smoothing_length",
+                "a kernel support 2h of at most half the box, so that no particle meets two images of another",
+                format!("2h = {} in a box of {}", 2.0 * f.smoothing_length, f.box_length),
+            ),
+            (positive(f.c), "fluid.c", "a positive sound speed", show(f.c)),
+            (positive(f.gamma), "fluid.gamma", "a positive exponent", show(f.gamma)),
+            (f.alpha >= 0.0 && f.alpha.is_finite(), "fluid.alpha", "zero or more", show(f.alpha)),
+            (f.beta >= 0.0 && f.beta.is_finite(), "fluid.beta", "zero or more", show(f.beta)),
+        ]
+    }
+
+    fn motion_requirements(&self) -> Vec<Requirement> {
+        let (t, i) = (&self.time, &self.initial);
+        let show = |x: f64| format!("{x}");
+        let mut requirements = vec![
+            (positive(t.courant), "time.courant", "a positive number", show(t.courant)),
+            (t.dt.is_none_or(positive), "time.dt", "a positive time", format!("{:?}", t.dt)),
+            (t.skin >= 0.0 && t.skin.is_finite(), "time.skin", "zero or more", show(t.skin)),
+            (i.jitter >= 0.0 && i.jitter.is_finite(), "initial.jitter", "zero or more", show(i.jitter)),
+            (
+                i.velocity >= 0.0 && i.velocity.is_finite(),
+                "initial.velocity",
+                "zero or more",
+                show(i.velocity),
+            ),
+            (positive(self.limits.courant), "limits.courant", "a positive number", show(self.limits.courant)),
+            (positive(self.limits.energy), "limits.energy", "a positive number", show(self.limits.energy)),
+        ];
+        match self.forcing {
+            Forcing::None => {}
+            Forcing::Deterministic { theta, .. } => {
+                requirements.push((theta.is_finite(), "forcing.theta", "a number", show(theta)));
+            }
+            Forcing::Stochastic { interval, strength } => requirements.extend([
+                (positive(interval), "forcing.interval", "a positive time", show(interval)),
+                (strength.is_finite(), "forcing.strength", "a number", show(strength)),
+            ]),
+        }
+        requirements
+    }
+}
+
+fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
+    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == name);
+    let unknown = learn.guess.keys().find(|name| !known(name));
+    let mut sorted = learn.parameters.clone();
+    sorted.sort_unstable();
+    sorted.dedup();
+    let weights = learn.loss;
+    let ordered = learn.windows.windows(2).all(|pair| pair[0] < pair[1]);
+    let rate = match learn.optimiser {
+        Optimiser::LevenbergMarquardt { damping } => damping,
+        Optimiser::Adam { rate, .. } | Optimiser::Rmsprop { rate, .. } => rate,
+    };
+    vec![
+        (
+            !learn.parameters.is_empty() && sorted.len() == learn.parameters.len(),
+            "learn.parameters",
+            "at least one of c, alpha, beta, gamma, theta, each once",
+            format!("{:?}", learn.parameters),
+        ),
+        (
+            unknown.is_none(),
+            "learn.guess",
+            "guesses for learned parameters only",
+            unknown.cloned().unwrap_or_default(),
+        ),
+        (learn.frames > 0, "learn.frames", "at least one observed frame", "0".to_owned()),
+        (
+            weights.trajectory >= 0.0
+                && weights.field >= 0.0
+                && positive(weights.trajectory + weights.field),
+            "learn.loss",
+            "weights of zero or more, one of them positive",
+            format!("trajectory {}, field {}", weights.trajectory, weights.field),
+        ),
+        (learn.mesh != Some(0), "learn.mesh", "at least one node a side", "0".to_owned()),
+        (
+            ordered && learn.windows.iter().all(|&w| w > 0 && w <= learn.frames),
+            "learn.windows",
+            "growing numbers of frames between 1 and learn.frames",
+            format!("{:?}", learn.windows),
+        ),
+        (positive(rate), "learn.optimiser", "a positive rate or damping", format!("{rate}")),
+        (learn.target >= 0.0, "learn.target", "zero or more", format!("{}", learn.target)),
+    ]
+}
+
+fn positive(x: f64) -> bool {
+    x > 0.0 && x.is_finite()
+}

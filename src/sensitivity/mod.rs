@@ -1,0 +1,17 @@
+//! How a flow is differentiated.
+//!
+//! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and pass through the linearised step, beside
+//! the flow itself: each system of `systems/` has its tangent in the same file.
+
+use serde::{Deserialize, Serialize};
+
+/// Which derivatives of the force a forward sensitivity keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Coupling {
+    /// All of them: the exact gradient (default, recommended).
+    #[default]
+    Full,
+    /// `∂Fᵢ/∂Xᵢ` alone, as the paper's Eq. (25): wrong in developed flow, kept for comparison.
+    Local,
+}

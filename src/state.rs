@@ -1,0 +1,55 @@
+//! The equation of state, Eq. (20).
+
+use crate::scalar::Scalar;
+
+/// Tait's pressure `P = (c² ρ₀/γ) [(ρ/ρ₀)^γ − 1]`, Eq. (20), with `ρ₀ = 1`.
+///
+/// Weakly compressible: the sound speed at `ρ₀` is `c`, and pressure may become negative below `ρ₀`.
+#[inline(always)]
+pub fn tait<T: Scalar>(rho: T, c: T, gamma: T) -> T {
+    c * c / gamma * (rho.powf(gamma) - 1.0)
+}
+
+/// What a pressure `P` gives to the force on a pair, `P/ρ²`.
+#[inline(always)]
+pub fn stress<T: Scalar>(pressure: T, rho: T) -> T {
+    pressure / (rho * rho)
+}
+
+/// Specific internal energy of Tait's fluid, `e(ρ) = ∫ P/ρ² dρ` from `ρ₀ = 1`:
+/// `e = (c²/γ) [ρ^(γ−1)/(γ−1) + 1/ρ − γ/(γ−1)]`, and `c² (ln ρ + 1/ρ − 1)` where `γ = 1`.
+pub fn internal_energy(rho: f64, c: f64, gamma: f64) -> f64 {
+    let compression = gamma - 1.0;
+    // (ρ^(γ−1) − 1)/(γ−1), which is ln ρ in the limit γ = 1.
+    let logarithm = if compression.abs() < 1e-12 {
+        rho.ln()
+    } else {
+        (compression * rho.ln()).exp_m1() / compression
+    };
+    c * c / gamma * (logarithm + 1.0 / rho - 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn energy_is_the_integral_of_pressure_over_density_squared() {
+        for gamma in [1.0, 1.4, 7.0] {
+            for rho in [0.7, 0.95, 1.0, 1.3] {
+                let step = 1e-5;
+                let slope = (internal_energy(rho + step, 3.0, gamma)
+                    - internal_energy(rho - step, 3.0, gamma))
+                    / (2.0 * step);
+                let expected = stress(tait(rho, 3.0, gamma), rho);
+                assert!((slope - expected).abs() < 1e-8 * (1.0 + expected.abs()));
+            }
+        }
+    }
+
+    #[test]
+    fn the_slope_of_pressure_at_reference_density_is_the_sound_speed_squared() {
+        let slope = (tait(1.0 + 1e-6, 10.0, 7.0) - tait(1.0 - 1e-6, 10.0, 7.0)) / 2e-6;
+        assert!((slope - 100.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,179 @@
+//! Forcing as systems: appendix A.3 over the cloud, and its tangents.
+
+use super::acceleration::Law;
+use super::neighbours::CHUNK;
+use super::particles::{Cloud, SensitivityCloud};
+use super::verlet::{Clock, Integrator};
+use crate::forcing::{EnergyInjection, Mode, Power, stochastic_modes};
+use crate::models::{Model, Parameter};
+use crate::scalar::Lanes;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+use rayon::prelude::*;
+
+/// Deterministic forcing of a World, with the law it last obeyed.
+#[derive(Resource, Clone, Debug)]
+pub struct DeterministicForcing {
+    /// What `θ` means.
+    pub power: Power,
+    law: Option<EnergyInjection>,
+}
+
+impl DeterministicForcing {
+    /// Forcing whose `θ` is a parameter of the model.
+    pub fn new(power: Power) -> Self {
+        Self { power, law: None }
+    }
+}
+
+/// System: adds `f = (θ/E)(v − v̄)`.
+pub fn force_deterministically<M: Model<D>, const D: usize>(
+    law: Res<Law<M>>,
+    mut forcing: ResMut<DeterministicForcing>,
+    mut cloud: ResMut<Cloud<D>>,
+) {
+    let theta = law.0.parameters().get(Parameter::Theta);
+    let velocities = cloud.particles().iter().map(|p| p.velocity);
+    let injection = EnergyInjection::new(theta, forcing.power, velocities);
+    let Cloud { packed, acceleration, .. } = &mut *cloud;
+    for (a, p) in acceleration.iter_mut().zip(packed) {
+        *a += injection.force(p.velocity);
+    }
+    forcing.law = Some(injection);
+}
+
+/// System: the tangent of [`force_deterministically`]: `v̄` and `E` couple all particles, so two sums
+/// over all of them come first.
+pub fn force_deterministically_tangent<const D: usize>(
+    forcing: Res<DeterministicForcing>,
+    cloud: Res<Cloud<D>>,
+    mut sensitivities: ResMut<SensitivityCloud<D>>,
+) {
+    let Some(law) = forcing.law else { return };
+    let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
+    for block in &mut sensitivities.blocks {
+        let theta = block.directions[Parameter::Theta as usize];
+        let mut sums = (Vector::<Lanes, D>::zero(), Lanes::ZERO);
+        for (change, p) in block.packed.iter().zip(cloud.particles()) {
+            sums.0 += change.velocity;
+            sums.1 += law.work(p.velocity, change.velocity);
+        }
+        let all = law.tangent(cloud.len(), sums, theta);
+        let lines = block.acceleration.par_iter_mut().zip(&block.packed).zip(cloud.particles());
+        lines.with_min_len(CHUNK).for_each(|((a, change), p)| {
+            let change = change.velocity;
+            let own = if full {
+                all
+            } else {
+                law.tangent(cloud.len(), (change, law.work(p.velocity, change)), theta)
+            };
+            *a += own.force(&law, p.velocity, change);
+        });
+    }
+}
+
+/// Stochastic forcing of a World.
+#[derive(Resource, Clone, Debug)]
+pub struct StochasticForcing {
+    /// Seed of the phases.
+    pub seed: u64,
+    /// Time after which the phases are drawn anew: not per step, so that the injected power does
+    /// not depend on `dt`.
+    pub interval: f64,
+    /// Factor on the paper's amplitudes.
+    pub strength: f64,
+    modes: Vec<Mode>,
+    drawn: Option<u64>,
+}
+
+impl StochasticForcing {
+    /// Forcing with phases that change every `interval`.
+    pub fn new(seed: u64, interval: f64, strength: f64) -> Self {
+        Self { seed, interval, strength, modes: Vec::new(), drawn: None }
+    }
+
+    fn draw(&mut self, dimension: usize, length: f64, time: f64) {
+        // Half a step of slack in time, so that round-off cannot move a redraw by a step.
+        let interval = (time / self.interval).floor() as u64;
+        if self.drawn != Some(interval) {
+            self.modes = stochastic_modes(dimension, length, self.seed, interval);
+            self.drawn = Some(interval);
+        }
+    }
+
+    fn force<const D: usize>(&self, position: [f64; 3]) -> Vector<f64, D> {
+        let mut force = Vector::zero();
+        for mode in &self.modes {
+            let wave = self.strength * mode.angle(position).cos();
+            (0..D).for_each(|axis| force[axis] += mode.amplitude[axis] * wave);
+        }
+        force
+    }
+
+    fn tangent<const D: usize>(
+        &self,
+        position: [f64; 3],
+        change: Vector<Lanes, D>,
+    ) -> Vector<Lanes, D> {
+        let mut force = Vector::zero();
+        for mode in &self.modes {
+            let mut angle = Lanes::ZERO;
+            (0..D).for_each(|axis| angle += change[axis] * mode.k[axis]);
+            let wave = angle * (-self.strength * mode.angle(position).sin());
+            (0..D).for_each(|axis| force[axis] += wave * mode.amplitude[axis]);
+        }
+        force
+    }
+}
+
+/// System: adds the stochastic force less its mean over the particles, which would push the whole
+/// flow.
+pub fn force_stochastically<const D: usize>(
+    clock: Res<Clock>,
+    integrator: Res<Integrator>,
+    neighbours: Res<super::neighbours::Neighbours<D>>,
+    mut forcing: ResMut<StochasticForcing>,
+    mut cloud: ResMut<Cloud<D>>,
+) {
+    let time = clock.time_at(clock.evaluated, integrator.dt);
+    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    let forces: Vec<Vector<f64, D>> = cloud
+        .particles()
+        .par_iter()
+        .with_min_len(CHUNK)
+        .map(|p| forcing.force(p.position))
+        .collect();
+    let mut mean = Vector::zero();
+    for &force in &forces {
+        mean += force;
+    }
+    mean = mean * (1.0 / cloud.len().max(1) as f64);
+    for (a, force) in cloud.acceleration.iter_mut().zip(forces) {
+        *a += force - mean;
+    }
+}
+
+/// System: the tangent of [`force_stochastically`].
+pub fn force_stochastically_tangent<const D: usize>(
+    forcing: Res<StochasticForcing>,
+    cloud: Res<Cloud<D>>,
+    mut sensitivities: ResMut<SensitivityCloud<D>>,
+) {
+    let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
+    let each = 1.0 / cloud.len().max(1) as f64;
+    for block in &mut sensitivities.blocks {
+        let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
+        let changes: Vec<Vector<Lanes, D>> =
+            lines.map(|(change, p)| forcing.tangent(p.position, change.position)).collect();
+        let mut mean = Vector::zero();
+        if full {
+            for &change in &changes {
+                mean += change;
+            }
+        }
+        for (a, &change) in block.acceleration.iter_mut().zip(&changes) {
+            let shared = if full { mean } else { change };
+            *a += change - shared.map(|x| x * each);
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! The motion: what exists in a World, and what happens to it in which order.
+//!
+//! [`Phase`] is the order of one step, appendix A.4, written once; every system belongs to a phase,
+//! and two systems that touch the same data without an order between them are an error. A tangent
+//! runs behind the system it differentiates, in the same phase.
+//!
+//! A flow is extended by adding a system to a phase or between two:
+//!
+//! ```
+//! use bevy_ecs::prelude::*;
+//! use whirls::systems::{Phase, particles::Velocity};
+//! use whirls::{Flow, Scene};
+//!
+//! fn drag(mut velocities: Query<&mut Velocity<2>>) {
+//!     velocities.iter_mut().for_each(|mut v| v.0 = v.0 * 0.999);
+//! }
+//!
+//! let scene = Scene::shipped("inverse-2d")?;
+//! let mut flow = Flow::<2>::new(&scene)?;
+//! flow.schedule_mut().add_systems(drag.after(Phase::SecondKick).before(Phase::Loss));
+//! flow.step()?;
+//! # Ok::<(), whirls::Error>(())
+//! ```
+
+pub mod acceleration;
+pub mod density;
+pub mod forcing;
+pub mod loss;
+pub mod neighbours;
+pub mod pairs;
+pub mod particles;
+pub mod verlet;
+pub mod watch;
+
+use crate::models::Model;
+use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
+use bevy_ecs::system::ScheduleSystem;
+use verlet::Step;
+
+/// One step, in order.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Phase {
+    /// The force anew at `(rᵏ, vᵏ)`: only in the steps `paper` and `two-force`.
+    Refresh,
+    /// `v½ = vᵏ + dt/2 Fᵏ`.
+    FirstKick,
+    /// `rᵏ⁺¹ = rᵏ + dt v½`.
+    Drift,
+    /// Who may touch whom at `rᵏ⁺¹`.
+    Neighbours,
+    /// Which velocity they see.
+    Visible,
+    /// `ρᵏ⁺¹`, Eq. (17).
+    Density,
+    /// The pair forces, Eq. (7).
+    Force,
+    /// The external forcing, A.3.
+    Forcing,
+    /// Forces go back from the cloud to the particles.
+    Return,
+    /// `vᵏ⁺¹ = v½ + dt/2 F`.
+    SecondKick,
+    /// The loss of the completed step, where it is observed.
+    Loss,
+    /// Whether the flow can be trusted to go on.
+    Watch,
+}
+
+impl Phase {
+    /// All phases, in order.
+    pub const ALL: [Self; 12] = [
+        Self::Refresh,
+        Self::FirstKick,
+        Self::Drift,
+        Self::Neighbours,
+        Self::Visible,
+        Self::Density,
+        Self::Force,
+        Self::Forcing,
+        Self::Return,
+        Self::SecondKick,
+        Self::Loss,
+        Self::Watch,
+    ];
+}
+
+/// The two schedules of a World.
+#[derive(ScheduleLabel, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Program {
+    /// From positions and velocities to the forces at step zero.
+    Start,
+    /// One step.
+    Advance,
+}
+
+/// Which forcing a scene has, as far as the order of systems is concerned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stirring {
+    /// None: no system, no memory.
+    None,
+    /// [`forcing::DeterministicForcing`].
+    Deterministic,
+    /// [`forcing::StochasticForcing`].
+    Stochastic,
+}
+
+/// Which systems a World needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Needs {
+    /// The kind of step.
+    pub step: Step,
+    /// The forcing.
+    pub stirring: Stirring,
+    /// Whether sensitivities are carried.
+    pub sensitivities: bool,
+    /// Whether the flow is compared with a truth.
+    pub loss: bool,
+}
+
+/// The schedule of one step for a model `M` in dimension `D`.
+pub fn advance<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+    let mut schedule = in_order(Program::Advance);
+    let add = &mut schedule;
+    if needs.step.refreshes() {
+        add_packed_velocities::<false, D>(add, needs, Refresh::Pack);
+        add_forces::<M, D>(add, needs, [Refresh::Force, Refresh::Forcing, Refresh::Return]);
+    }
+    with_tangent(add, needs, (verlet::kick::<D>, verlet::kick_tangent::<D>), Phase::FirstKick);
+    with_tangent(add, needs, (verlet::drift::<D>, verlet::drift_tangent::<D>), Phase::Drift);
+    if needs.step.predicts() {
+        add_density::<M, true, D>(add, needs);
+    } else {
+        add_density::<M, false, D>(add, needs);
+    }
+    add_forces::<M, D>(add, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
+    let kick = (verlet::kick::<D>, verlet::tick).chain();
+    with_tangent(add, needs, (kick, verlet::kick_tangent::<D>), Phase::SecondKick);
+    add_judgement::<M, D>(add, needs);
+    schedule
+}
+
+/// The schedule that finds density and force of the initial state.
+pub fn start<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+    let mut schedule = in_order(Program::Start);
+    add_density::<M, false, D>(&mut schedule, needs);
+    add_forces::<M, D>(&mut schedule, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
+    add_judgement::<M, D>(&mut schedule, needs);
+    schedule
+}
+
+/// The parts of [`Phase::Refresh`].
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Refresh {
+    Pack,
+    Force,
+    Forcing,
+    Return,
+}
+
+fn in_order(program: Program) -> Schedule {
+    let mut schedule = Schedule::new(program);
+    schedule.set_executor(SingleThreadedExecutor::new());
+    schedule.set_build_settings(ScheduleBuildSettings {
+        ambiguity_detection: LogLevel::Error,
+        ..ScheduleBuildSettings::new()
+    });
+    {
+        use Phase::*;
+        let evaluation = (Neighbours, Visible, Density, Force, Forcing, Return).chain();
+        let judgement = (Loss, Watch).chain();
+        schedule.configure_sets(
+            (Refresh, FirstKick, Drift, evaluation, SecondKick, judgement).chain(),
+        );
+    }
+    use Refresh::*;
+    schedule.configure_sets((Pack, Force, Forcing, Return).chain().in_set(Phase::Refresh));
+    schedule
+}
+
+/// Adds a system, and behind it its tangent where sensitivities are carried.
+fn with_tangent<A, B>(
+    schedule: &mut Schedule,
+    needs: Needs,
+    (value, tangent): (
+        impl IntoScheduleConfigs<ScheduleSystem, A>,
+        impl IntoScheduleConfigs<ScheduleSystem, B>,
+    ),
+    set: impl SystemSet,
+) {
+    if needs.sensitivities {
+        schedule.add_systems((value, tangent).chain().in_set(set));
+    } else {
+        schedule.add_systems(value.in_set(set));
+    }
+}
+
+fn add_packed_velocities<const PREDICTED: bool, const D: usize>(
+    schedule: &mut Schedule,
+    needs: Needs,
+    set: impl SystemSet,
+) {
+    let value = neighbours::pack_velocities::<PREDICTED, D>;
+    with_tangent(schedule, needs, (value, verlet::pack_sensitivities::<PREDICTED, D>), set);
+}
+
+/// Neighbours and density: what the forces stand on.
+fn add_density<M: Model<D>, const PREDICTED: bool, const D: usize>(
+    schedule: &mut Schedule,
+    needs: Needs,
+) {
+    schedule.add_systems(neighbours::find_neighbours::<D>.in_set(Phase::Neighbours));
+    add_packed_velocities::<PREDICTED, D>(schedule, needs, Phase::Visible);
+    let density = (density::sum_density::<M, D>, density::write_density::<D>).chain();
+    let tangent = density::sum_density_tangent::<M, D>;
+    with_tangent(schedule, needs, (density, tangent), Phase::Density);
+}
+
+/// Pair forces, forcing and the way back to the particles, in three sets that follow each other.
+fn add_forces<M: Model<D>, const D: usize>(
+    schedule: &mut Schedule,
+    needs: Needs,
+    [pairs, external, back]: [impl SystemSet; 3],
+) {
+    let accelerate = (acceleration::accelerate::<M, D>, acceleration::accelerate_tangent::<M, D>);
+    with_tangent(schedule, needs, accelerate, pairs);
+    match needs.stirring {
+        Stirring::None => {}
+        Stirring::Deterministic => {
+            let force = forcing::force_deterministically::<M, D>;
+            let tangent = forcing::force_deterministically_tangent::<D>;
+            with_tangent(schedule, needs, (force, tangent), external);
+        }
+        Stirring::Stochastic => {
+            let force = forcing::force_stochastically::<D>;
+            let tangent = forcing::force_stochastically_tangent::<D>;
+            with_tangent(schedule, needs, (force, tangent), external);
+        }
+    }
+    let write = (acceleration::write_acceleration::<D>, verlet::write_acceleration_tangent::<D>);
+    with_tangent(schedule, needs, write, back);
+}
+
+/// Loss of an observed step, with the velocities as they stand at its end, and the watch.
+fn add_judgement<M: Model<D>, const D: usize>(schedule: &mut Schedule, needs: Needs) {
+    if needs.loss {
+        schedule.configure_sets(
+            (Judgement::Pack, Judgement::Accumulate)
+                .chain()
+                .run_if(loss::is_observed::<D>)
+                .in_set(Phase::Loss),
+        );
+        add_packed_velocities::<false, D>(schedule, needs, Judgement::Pack);
+        schedule.add_systems(loss::accumulate_loss::<M, D>.in_set(Judgement::Accumulate));
+    }
+    schedule.add_systems(watch::watch::<M, D>.in_set(Phase::Watch));
+}
+
+/// The parts of [`Phase::Loss`].
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Judgement {
+    Pack,
+    Accumulate,
+}

@@ -1,0 +1,228 @@
+//! Who may touch whom: a cell list with a skin, and brute force beside it as the oracle.
+//!
+//! Space is cut into cells of at least `2h + skin`; each particle's list holds everyone within that
+//! radius, and stays valid until some particle has moved half a skin. Cost is linear in `N`, and the
+//! lists hold directed pairs in a fixed order, so that every sum has the same bits for any number of
+//! threads. The skin buys speed only: pairs between `2h` and `2h + skin` contribute exact zeros.
+
+use super::particles::{Acceleration, Cloud, Position, Velocity};
+use super::verlet::Integrator;
+use crate::packed::Packed;
+use crate::cells::Cells;
+use crate::scalar::WIDTH;
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+use rayon::prelude::*;
+
+/// Particles per parallel task: fixed, so that no result depends on the number of threads.
+pub const CHUNK: usize = 256;
+
+/// The neighbours of [`CHUNK`] consecutive slots.
+#[derive(Clone, Debug, Default)]
+pub struct Chunk {
+    /// First slot of the chunk.
+    pub first: usize,
+    /// Where each slot's neighbours start in `index`; one more at the end.
+    start: Vec<u32>,
+    /// Slots, filled up to whole lanes with the slot of nobody, `N`.
+    index: Vec<u32>,
+}
+
+impl Chunk {
+    /// Number of slots.
+    pub fn len(&self) -> usize {
+        self.start.len().saturating_sub(1)
+    }
+
+    /// Whether the chunk has no slots.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The neighbours of the chunk's `k`-th slot, eight at a time.
+    #[inline(always)]
+    pub fn neighbours(&self, k: usize) -> &[[u32; WIDTH]] {
+        self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
+    }
+
+    fn fill<const D: usize>(&mut self, list: &ListSource<'_, D>) {
+        let count = list.packed.len() - 1;
+        self.start.clear();
+        self.index.clear();
+        self.start.push(0);
+        for slot in self.first..(self.first + CHUNK).min(count) {
+            let here = Vector::<f64, D>::from_3d(list.packed[slot].position);
+            list.cells.around(list.cells.coordinates(here), |slots| {
+                for other in slots {
+                    let there = Vector::<f64, D>::from_3d(list.packed[other].position);
+                    let apart = list.space.minimum_image(here - there).norm_squared();
+                    if apart < list.reach2 && other != slot {
+                        self.index.push(other as u32);
+                    }
+                }
+            });
+            self.index.resize(self.index.len().next_multiple_of(WIDTH), count as u32);
+            self.start.push(self.index.len() as u32);
+        }
+    }
+}
+
+struct ListSource<'a, const D: usize> {
+    packed: &'a [Packed],
+    cells: &'a Cells<D>,
+    space: PeriodicBox,
+    reach2: f64,
+}
+
+/// The neighbour list of a World.
+#[derive(Resource, Clone, Debug)]
+pub struct Neighbours<const D: usize> {
+    /// The box.
+    pub space: PeriodicBox,
+    /// Radius of the kernel, `2h`.
+    pub support: f64,
+    /// How much farther the lists reach.
+    pub skin: f64,
+    /// Cells of the last rebuild.
+    pub cells: Cells<D>,
+    /// Lists, [`CHUNK`] slots each.
+    pub chunks: Vec<Chunk>,
+    /// How often the lists were rebuilt.
+    pub rebuilds: u64,
+    /// Positions by row at the last rebuild.
+    reference: Vec<Vector<f64, D>>,
+    positions: Vec<Vector<f64, D>>,
+}
+
+impl<const D: usize> Neighbours<D> {
+    /// An empty list; the first use builds it.
+    pub fn new(space: PeriodicBox, support: f64, skin: f64) -> Self {
+        Self {
+            space,
+            support,
+            skin,
+            cells: Cells::default(),
+            chunks: Vec::new(),
+            rebuilds: 0,
+            reference: Vec::new(),
+            positions: Vec::new(),
+        }
+    }
+
+    /// Directed pairs closer than the support.
+    pub fn pairs(&self, cloud: &Cloud<D>) -> u64 {
+        let within = |chunk: &Chunk, k: usize| {
+            let here = Vector::<f64, D>::from_3d(cloud.packed[chunk.first + k].position);
+            let near = |&&j: &&u32| {
+                let there = Vector::from_3d(cloud.packed[j as usize].position);
+                let apart = self.space.minimum_image(here - there);
+                apart.norm_squared() < self.support * self.support
+            };
+            chunk.neighbours(k).as_flattened().iter().filter(near).count() as u64
+        };
+        self.chunks.iter().map(|chunk| (0..chunk.len()).map(|k| within(chunk, k)).sum::<u64>()).sum()
+    }
+
+    /// Bytes held by the lists.
+    pub fn bytes(&self) -> usize {
+        let per_chunk = |c: &Chunk| 4 * (c.index.capacity() + c.start.capacity());
+        let per_row = 8 * D * (self.reference.capacity() + self.positions.capacity());
+        self.chunks.iter().map(per_chunk).sum::<usize>() + per_row + self.cells.bytes()
+    }
+
+    /// Forgets the lists, so that the next step builds them anew.
+    pub fn invalidate(&mut self) {
+        self.reference.clear();
+    }
+
+    fn is_stale(&self) -> bool {
+        let limit = 0.25 * self.skin * self.skin;
+        self.reference.len() != self.positions.len()
+            || self.positions.iter().zip(&self.reference).any(|(&now, &then)| {
+                // Not "≥ limit": a NaN must count as having moved.
+                !(self.space.minimum_image(now - then).norm_squared() < limit)
+            })
+    }
+
+    /// Builds the lists if some particle has moved half a skin since they were built, and puts the
+    /// positions of `self.positions` into the cloud.
+    fn update(&mut self, cloud: &mut Cloud<D>) {
+        let stale = self.is_stale();
+        if stale {
+            self.reference.clone_from(&self.positions);
+            cloud.resize(self.positions.len());
+            self.cells.sort(&self.positions, self.space, self.support + self.skin);
+            for (slot, &row) in self.cells.row_of_slot.iter().enumerate() {
+                cloud.slot_of_row[row as usize] = slot as u32;
+            }
+        }
+        for (&position, &slot) in self.positions.iter().zip(&cloud.slot_of_row) {
+            cloud.packed[slot as usize].position = position.to_3d();
+        }
+        if stale {
+            self.build(cloud);
+        }
+    }
+
+    fn build(&mut self, cloud: &Cloud<D>) {
+        self.rebuilds += 1;
+        let reach = self.support + self.skin;
+        let source = ListSource {
+            packed: &cloud.packed,
+            cells: &self.cells,
+            space: self.space,
+            reach2: reach * reach,
+        };
+        self.chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
+        self.chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
+            chunk.first = number * CHUNK;
+            chunk.fill(&source);
+        });
+    }
+}
+
+/// Every directed pair closer than `radius`, as `(i, j)` in ascending order, by comparing all with
+/// all: the oracle of the cell list.
+pub fn brute_force<const D: usize>(
+    positions: &[Vector<f64, D>],
+    space: PeriodicBox,
+    radius: f64,
+) -> Vec<(usize, usize)> {
+    let near = |i: usize, j: usize| {
+        space.minimum_image(positions[i] - positions[j]).norm_squared() < radius * radius
+    };
+    let all = 0..positions.len();
+    all.clone().flat_map(|i| all.clone().filter(move |&j| i != j && near(i, j)).map(move |j| (i, j))).collect()
+}
+
+/// System: brings the neighbour lists and the packed positions up to date.
+pub fn find_neighbours<const D: usize>(
+    positions: Query<&Position<D>>,
+    mut neighbours: ResMut<Neighbours<D>>,
+    mut cloud: ResMut<Cloud<D>>,
+) {
+    let neighbours = &mut *neighbours;
+    neighbours.positions.clear();
+    for column in positions.contiguous_iter().into_iter().flatten() {
+        neighbours.positions.extend(column.iter().map(|r| r.0));
+    }
+    neighbours.update(&mut cloud);
+}
+
+/// System: packs the velocity that the next force evaluation sees.
+pub fn pack_velocities<const PREDICTED: bool, const D: usize>(
+    particles: Query<(&Velocity<D>, &Acceleration<D>)>,
+    integrator: Res<Integrator>,
+    mut cloud: ResMut<Cloud<D>>,
+) {
+    let Cloud { packed, slot_of_row, .. } = &mut *cloud;
+    let half_step = if PREDICTED { 0.5 * integrator.dt } else { 0.0 };
+    let mut slots = slot_of_row.iter();
+    for (velocities, accelerations) in particles.contiguous_iter().into_iter().flatten() {
+        for ((v, a), &slot) in velocities.iter().zip(accelerations).zip(&mut slots) {
+            let seen = if PREDICTED { v.0 + a.0 * half_step } else { v.0 };
+            packed[slot as usize].velocity = seen.to_3d();
+        }
+    }
+}

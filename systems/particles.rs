@@ -1,0 +1,115 @@
+//! What a particle is made of, and the cloud in which pairs meet.
+
+use crate::packed::{Packed, PackedSensitivity};
+use crate::scalar::Lanes;
+use crate::sensitivity::Coupling;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+
+/// Number of the particle in its flow, `0..N`: the key under which recordings know it.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity(pub u32);
+
+/// Position `r`, inside the box.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct Position<const D: usize>(pub Vector<f64, D>);
+
+/// Velocity `v`.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct Velocity<const D: usize>(pub Vector<f64, D>);
+
+/// Acceleration `F` of the last force evaluation; with the kick-drift-kick step it is carried to the
+/// next step, and so belongs to the state.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct Acceleration<const D: usize>(pub Vector<f64, D>);
+
+/// Density `ρ` at the particle's position.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct Density(pub f64);
+
+/// Which particle a sensitivity block belongs to, and which eight parameters it holds.
+///
+/// Blocks are entities of their own, spawned block by block, so that their columns lie block-major
+/// in memory and a scene that learns `p` parameters has `⌈p/8⌉` of them per particle.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct BlockOf {
+    /// [`Identity`] of the particle.
+    pub particle: u32,
+    /// Parameters `8·block .. 8·block + 8`.
+    pub block: u32,
+}
+
+/// `∂r/∂θ`, one lane per learned parameter.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct PositionSensitivity<const D: usize>(pub Vector<Lanes, D>);
+
+/// `∂v/∂θ`.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct VelocitySensitivity<const D: usize>(pub Vector<Lanes, D>);
+
+/// `∂F/∂θ` of the last force evaluation.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct AccelerationSensitivity<const D: usize>(pub Vector<Lanes, D>);
+
+/// All particles in cell order, as contiguous arrays: what the pair loops run over.
+///
+/// *Slot* is a place in this order, *row* a place in the World's columns.
+#[derive(Resource, Debug, Default)]
+pub struct Cloud<const D: usize> {
+    /// One line per slot, and [`Packed::NOBODY`] behind the last.
+    pub packed: Vec<Packed>,
+    /// `F` per slot.
+    pub acceleration: Vec<Vector<f64, D>>,
+    /// Density per slot, before it is written into the lines.
+    pub density: Vec<f64>,
+    /// The slot of each row.
+    pub slot_of_row: Vec<u32>,
+}
+
+impl<const D: usize> Cloud<D> {
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        self.slot_of_row.len()
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.slot_of_row.is_empty()
+    }
+
+    /// Makes room for `count` particles.
+    pub fn resize(&mut self, count: usize) {
+        self.packed.clear();
+        self.packed.resize(count + 1, Packed::NOBODY);
+        self.acceleration.resize(count, Vector::zero());
+        self.density.resize(count, 0.0);
+        self.slot_of_row.resize(count, 0);
+    }
+
+    /// The particles without the filler behind them.
+    pub fn particles(&self) -> &[Packed] {
+        &self.packed[..self.len()]
+    }
+}
+
+/// One block of sensitivities of all particles, in cell order.
+#[derive(Clone, Debug)]
+pub struct SensitivityBlock<const D: usize> {
+    /// One entry per slot.
+    pub packed: Vec<PackedSensitivity<D>>,
+    /// `δρ` per slot, before it is written into the entries.
+    pub density: Vec<Lanes>,
+    /// `δF` per slot.
+    pub acceleration: Vec<Vector<Lanes, D>>,
+    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
+    pub directions: [Lanes; 5],
+}
+
+/// The blocks of a World that learns; absent where nothing is learned.
+#[derive(Resource, Clone, Debug)]
+pub struct SensitivityCloud<const D: usize> {
+    /// `⌈p/8⌉` blocks.
+    pub blocks: Vec<SensitivityBlock<D>>,
+    /// Which derivatives of the force are kept.
+    pub coupling: Coupling,
+}

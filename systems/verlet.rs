@@ -1,0 +1,173 @@
+//! The step in time, appendix A.4: kicks and drifts, with their tangents.
+
+use super::particles::{
+    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Position, PositionSensitivity,
+    SensitivityCloud, Velocity, VelocitySensitivity,
+};
+use crate::space::PeriodicBox;
+use bevy_ecs::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Which velocity the forces see, and how often they are evaluated.
+///
+/// | step | order | forces per step | |
+/// |---|---|---|---|
+/// | `kick-drift-kick` | 2 | 1 | default |
+/// | `paper` | 1 with viscosity or forcing | 2 | reproduces the published data |
+/// | `one-force` | 1 | 1 | only to be priced |
+/// | `two-force` | 2 | 2 | only as a check |
+///
+/// The orders are asserted in `tests/convergence.rs`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Step {
+    /// `v½ = v + dt/2 F`; `r' = r + dt v½`; `F' = F(r', v½ + dt/2 F)`; `v' = v½ + dt/2 F'`, and `F'`
+    /// is the next step's `F`: it belongs to the state.
+    #[default]
+    KickDriftKick,
+    /// `F = F(r, v)`; `v½ = v + dt/2 F`; `r' = r + dt v½`; `v' = v½ + dt/2 F(r', v½)`.
+    Paper,
+    /// The paper's step with `F(r', v½)` carried as the next step's `F`.
+    OneForce,
+    /// Kick-drift-kick with `F` evaluated anew at `(r', v')`.
+    TwoForce,
+}
+
+impl Step {
+    /// All steps.
+    pub const ALL: [Self; 4] = [Self::KickDriftKick, Self::Paper, Self::OneForce, Self::TwoForce];
+
+    /// Whether each step begins with a force evaluation of its own.
+    pub fn refreshes(self) -> bool {
+        matches!(self, Self::Paper | Self::TwoForce)
+    }
+
+    /// Whether the force after the drift sees the velocity predicted to the end of the step.
+    pub fn predicts(self) -> bool {
+        matches!(self, Self::KickDriftKick | Self::TwoForce)
+    }
+}
+
+/// How a World advances.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct Integrator {
+    /// Kind of step.
+    pub step: Step,
+    /// Time step.
+    pub dt: f64,
+    /// The box that positions are wrapped into.
+    pub space: PeriodicBox,
+}
+
+/// Where a World is in time.
+#[derive(Resource, Clone, Copy, Debug, Default)]
+pub struct Clock {
+    /// Steps completed.
+    pub step: u64,
+    /// Step whose positions the forces see: `step` before the drift, `step + 1` after it.
+    pub evaluated: u64,
+    /// Time at step zero.
+    pub start: f64,
+}
+
+impl Clock {
+    /// Time at a step, without the drift of repeated addition.
+    pub fn time_at(&self, step: u64, dt: f64) -> f64 {
+        self.start + step as f64 * dt
+    }
+}
+
+/// System: half a kick, `v += dt/2 F`.
+pub fn kick<const D: usize>(
+    mut particles: Query<(&mut Velocity<D>, &Acceleration<D>)>,
+    integrator: Res<Integrator>,
+) {
+    let half = 0.5 * integrator.dt;
+    for (velocities, accelerations) in particles.contiguous_iter_mut().into_iter().flatten() {
+        for (v, a) in velocities.into_iter().zip(accelerations) {
+            v.0 += a.0 * half;
+        }
+    }
+}
+
+/// System: the drift, `r += dt v`, back into the box.
+pub fn drift<const D: usize>(
+    mut particles: Query<(&mut Position<D>, &Velocity<D>)>,
+    integrator: Res<Integrator>,
+    mut clock: ResMut<Clock>,
+) {
+    for (positions, velocities) in particles.contiguous_iter_mut().into_iter().flatten() {
+        for (r, v) in positions.into_iter().zip(velocities) {
+            r.0 = integrator.space.wrap(r.0 + v.0 * integrator.dt);
+        }
+    }
+    clock.evaluated = clock.step + 1;
+}
+
+/// System: the step is complete.
+pub fn tick(mut clock: ResMut<Clock>) {
+    clock.step += 1;
+    clock.evaluated = clock.step;
+}
+
+/// System: the tangent of [`kick`].
+pub fn kick_tangent<const D: usize>(
+    mut blocks: Query<(&mut VelocitySensitivity<D>, &AccelerationSensitivity<D>)>,
+    integrator: Res<Integrator>,
+) {
+    let half = 0.5 * integrator.dt;
+    for (velocities, accelerations) in blocks.contiguous_iter_mut().into_iter().flatten() {
+        for (v, a) in velocities.into_iter().zip(accelerations) {
+            v.0 += a.0.map(|x| x * half);
+        }
+    }
+}
+
+/// System: the tangent of [`drift`].
+pub fn drift_tangent<const D: usize>(
+    mut blocks: Query<(&mut PositionSensitivity<D>, &VelocitySensitivity<D>)>,
+    integrator: Res<Integrator>,
+) {
+    for (positions, velocities) in blocks.contiguous_iter_mut().into_iter().flatten() {
+        for (r, v) in positions.into_iter().zip(velocities) {
+            r.0 += v.0.map(|x| x * integrator.dt);
+        }
+    }
+}
+
+/// System: packs `δr`, and the `δv` of the velocity that the next force evaluation sees.
+pub fn pack_sensitivities<const PREDICTED: bool, const D: usize>(
+    rows: Query<(
+        &BlockOf,
+        &PositionSensitivity<D>,
+        &VelocitySensitivity<D>,
+        &AccelerationSensitivity<D>,
+    )>,
+    integrator: Res<Integrator>,
+    cloud: Res<Cloud<D>>,
+    mut sensitivities: ResMut<SensitivityCloud<D>>,
+) {
+    let half = 0.5 * integrator.dt;
+    for (of, r, v, a) in rows.contiguous_iter().into_iter().flatten() {
+        for (((of, r), v), a) in of.iter().zip(r).zip(v).zip(a) {
+            let slot = cloud.slot_of_row[of.particle as usize] as usize;
+            let packed = &mut sensitivities.blocks[of.block as usize].packed[slot];
+            packed.position = r.0;
+            packed.velocity = if PREDICTED { v.0 + a.0.map(|x| x * half) } else { v.0 };
+        }
+    }
+}
+
+/// System: writes `δF` back to the blocks.
+pub fn write_acceleration_tangent<const D: usize>(
+    mut rows: Query<(&BlockOf, &mut AccelerationSensitivity<D>)>,
+    cloud: Res<Cloud<D>>,
+    sensitivities: Res<SensitivityCloud<D>>,
+) {
+    for (of, a) in rows.contiguous_iter_mut().into_iter().flatten() {
+        for (of, a) in of.iter().zip(a) {
+            let slot = cloud.slot_of_row[of.particle as usize] as usize;
+            a.0 = sensitivities.blocks[of.block as usize].acceleration[slot];
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! The watch: a run whose numbers have lost their meaning stops, and says which, whose, when and why.
+
+use super::acceleration::Law;
+use super::particles::{Acceleration, Density, Position, Velocity};
+use super::verlet::{Clock, Integrator};
+use crate::error::Error;
+use crate::models::{Model, Parameter};
+use bevy_ecs::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Limits beyond which a run stops.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Largest Courant number `(c_s + |v|) dt/h` of any particle.
+    pub courant: f64,
+    /// Largest kinetic energy per unit mass.
+    pub energy: f64,
+}
+
+impl Default for Limits {
+    /// Courant number 1 (a step is chosen at 0.4), and speeds of a thousand box units.
+    fn default() -> Self {
+        Self { courant: 1.0, energy: 1e6 }
+    }
+}
+
+/// Why the run must stop, if it must.
+#[derive(Resource, Debug, Default)]
+pub struct Failure(pub Option<Error>);
+
+/// System: looks at every particle after every step.
+pub fn watch<M: Model<D>, const D: usize>(
+    particles: Query<(&Position<D>, &Velocity<D>, &Acceleration<D>, &Density)>,
+    (limits, integrator, clock, law): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Law<M>>),
+    mut failure: ResMut<Failure>,
+) {
+    if failure.0.is_some() {
+        return;
+    }
+    let mut look = Look::default();
+    let mut row = 0;
+    let parameters = law.0.parameters();
+    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
+    for (r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
+        for (((r, v), a), rho) in r.iter().zip(v).zip(a).zip(rho) {
+            // Of a particle gone wrong, the cause comes before its consequences.
+            let finite = [
+                ("density", rho.0.is_finite()),
+                ("acceleration", a.0.is_finite()),
+                ("velocity", v.0.is_finite()),
+                ("position", r.0.is_finite()),
+            ];
+            if let Some((quantity, _)) = finite.into_iter().find(|(_, finite)| !finite) {
+                look.not_finite.get_or_insert((quantity, row));
+            }
+            let square = v.0.norm_squared();
+            look.energy += 0.5 * square;
+            let sound = c.abs() * rho.0.max(0.0).powf(0.5 * (gamma - 1.0));
+            look.see_speed(sound + square.sqrt(), row);
+            row += 1;
+        }
+    }
+    let courant = look.speed.0 * integrator.dt / law.0.smoothing().h;
+    let verdict = look.verdict(*limits, courant, row.max(1) as f64);
+    failure.0 = verdict.map(|(quantity, found, remedy)| Error::Diverged {
+        step: clock.step,
+        time: clock.time_at(clock.step, integrator.dt),
+        quantity,
+        found,
+        remedy,
+    });
+}
+
+/// What was seen in one pass over the particles.
+#[derive(Default)]
+struct Look {
+    not_finite: Option<(&'static str, usize)>,
+    energy: f64,
+    /// Largest signal speed, and whose.
+    speed: (f64, usize),
+}
+
+impl Look {
+    fn see_speed(&mut self, speed: f64, row: usize) {
+        if speed > self.speed.0 {
+            self.speed = (speed, row);
+        }
+    }
+
+    /// `(quantity, found, remedy)` of the first limit broken.
+    fn verdict(&self, limits: Limits, courant: f64, count: f64) -> Option<(String, String, String)> {
+        if let Some((quantity, row)) = self.not_finite {
+            return Some((
+                format!("the {quantity} of particle {row}"),
+                "is not a finite number".to_owned(),
+                "take a smaller time step (time.courant or time.dt)".to_owned(),
+            ));
+        }
+        if courant > limits.courant {
+            return Some((
+                format!("the Courant number of particle {}", self.speed.1),
+                format!("is {courant:.3}, expected at most {}", limits.courant),
+                format!("take a time step {:.1} times smaller (time.dt)", courant / 0.4),
+            ));
+        }
+        let energy = self.energy / count;
+        (energy > limits.energy).then(|| {
+            (
+                "the kinetic energy per unit mass".to_owned(),
+                format!("is {energy:.3e}, expected at most {:e}", limits.energy),
+                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta)".to_owned(),
+            )
+        })
+    }
+}
