@@ -7,6 +7,7 @@ use crate::scalar::{Lanes, WIDTH};
 use crate::scene::{Forcing, KernelName, Scene};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
+use crate::statistics::{self, MomentumRates};
 use crate::systems::acceleration::Law;
 use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
 use crate::systems::loss::{LossSum, Observations};
@@ -99,15 +100,18 @@ pub struct Flow<const D: usize> {
     start: Schedule,
     advance: Schedule,
     started: bool,
-    law: Erased,
+    law: Erased<D>,
     columns: Vec<Parameter>,
 }
 
 /// The few operations that need the model's type, which only the scene knows.
 #[derive(Clone, Copy)]
-struct Erased {
+struct Erased<const D: usize> {
     set: fn(&mut World, Parameters<f64>),
     get: fn(&World) -> Parameters<f64>,
+    mass: fn(&World) -> f64,
+    smoothing_length: fn(&World) -> f64,
+    rates: fn(&World) -> MomentumRates<D>,
 }
 
 impl<const D: usize> Flow<D> {
@@ -187,6 +191,9 @@ impl<const D: usize> Flow<D> {
             law: Erased {
                 set: |world, parameters| world.resource_mut::<Law<M>>().0.set_parameters(parameters),
                 get: |world| *world.resource::<Law<M>>().0.parameters(),
+                mass: |world| world.resource::<Law<M>>().0.mass(),
+                smoothing_length: |world| world.resource::<Law<M>>().0.smoothing().h,
+                rates: statistics::momentum_rates::<M, D>,
             },
             columns,
         }
@@ -255,6 +262,49 @@ impl<const D: usize> Flow<D> {
     /// The physical parameters in force.
     pub fn parameters(&self) -> Parameters<f64> {
         (self.law.get)(&self.world)
+    }
+
+    /// Mass of each particle.
+    pub fn mass(&self) -> f64 {
+        (self.law.mass)(&self.world)
+    }
+
+    /// Smoothing length `h`.
+    pub fn smoothing_length(&self) -> f64 {
+        (self.law.smoothing_length)(&self.world)
+    }
+
+    /// `Σ m a` per system at the last force evaluation.
+    pub fn momentum_rates(&self) -> MomentumRates<D> {
+        (self.law.rates)(&self.world)
+    }
+
+    /// Bytes per particle of everything the World holds for it, by part.
+    pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
+        let count = self.world.resource::<Cloud<D>>().len().max(1) as f64;
+        let vector = 8 * D;
+        let lines = self.world.resource::<Cloud<D>>();
+        let cloud = 64 * lines.packed.capacity()
+            + vector * lines.acceleration.capacity()
+            + 8 * lines.density.capacity()
+            + 4 * lines.slot_of_row.capacity();
+        let mut parts = vec![
+            ("components", (4 + 3 * vector + 8) as f64),
+            ("cloud", cloud as f64 / count),
+            ("neighbour lists", self.world.resource::<Neighbours<D>>().bytes() as f64 / count),
+        ];
+        if let Some(sensitivities) = self.world.get_resource::<SensitivityCloud<D>>() {
+            let block = 3 * D * 64 + 8 + (2 * D + 2) * 64 + 64 + D * 64;
+            parts.push(("sensitivities", (block * sensitivities.blocks.len()) as f64));
+        }
+        parts
+    }
+
+    /// Mean number of neighbours within the support.
+    pub fn neighbours_per_particle(&self) -> f64 {
+        let cloud = self.world.resource::<Cloud<D>>();
+        let pairs = self.world.resource::<Neighbours<D>>().pairs(cloud);
+        pairs as f64 / cloud.len().max(1) as f64
     }
 
     /// Puts other physical parameters in force, from the next force evaluation on.

@@ -33,7 +33,8 @@ pub struct EnergyInjection {
     share: f64,
     /// `θ/E`; zero in a flow at rest, where no direction is preferred.
     pub rate: f64,
-    theta: f64,
+    /// Power `θ`.
+    pub theta: f64,
 }
 
 impl EnergyInjection {

@@ -5,17 +5,22 @@ pub mod error;
 pub mod flow;
 pub mod forcing;
 pub mod kernel;
+pub mod learn;
 pub mod losses;
 pub mod models;
+pub mod optimisers;
 pub mod packed;
-//pub mod recording;
+pub mod recording;
+pub mod run;
 pub mod scalar;
 pub mod scene;
 pub mod sensitivity;
 pub mod space;
 pub mod state;
+pub mod statistics;
 #[path = "../systems/mod.rs"]
 pub mod systems;
+pub mod truth;
 pub mod vector;
 pub mod viscosity;
 

@@ -24,6 +24,25 @@ impl DeterministicForcing {
     pub fn new(power: Power) -> Self {
         Self { power, law: None }
     }
+
+    /// The law for the velocities that a cloud now holds.
+    fn now<const D: usize>(&self, cloud: &Cloud<D>) -> Option<EnergyInjection> {
+        let velocities = cloud.particles().iter().map(|p| p.velocity);
+        self.law.map(|law| EnergyInjection::new(law.theta, self.power, velocities))
+    }
+}
+
+/// The forces of whatever forcing a World has, in cell order, as its cloud stands.
+pub fn external_forces<const D: usize>(world: &World) -> Vec<Vector<f64, D>> {
+    let cloud = world.resource::<Cloud<D>>();
+    let particles = cloud.particles().iter();
+    if let Some(law) = world.get_resource::<DeterministicForcing>().and_then(|f| f.now(cloud)) {
+        return particles.map(|p| law.force(p.velocity)).collect();
+    }
+    match world.get_resource::<StochasticForcing>() {
+        Some(forcing) => forcing.forces(cloud),
+        None => vec![Vector::zero(); cloud.len()],
+    }
 }
 
 /// System: adds `f = (θ/E)(v − v̄)`.
@@ -110,6 +129,18 @@ impl StochasticForcing {
         force
     }
 
+    /// The force on each particle less their mean, in cell order.
+    fn forces<const D: usize>(&self, cloud: &Cloud<D>) -> Vec<Vector<f64, D>> {
+        let particles = cloud.particles().par_iter().with_min_len(CHUNK);
+        let mut forces: Vec<Vector<f64, D>> =
+            particles.map(|p| self.force(p.position)).collect();
+        let mut mean = Vector::zero();
+        forces.iter().for_each(|&force| mean += force);
+        mean = mean * (1.0 / cloud.len().max(1) as f64);
+        forces.iter_mut().for_each(|force| *force -= mean);
+        forces
+    }
+
     fn tangent<const D: usize>(
         &self,
         position: [f64; 3],
@@ -137,19 +168,9 @@ pub fn force_stochastically<const D: usize>(
 ) {
     let time = clock.time_at(clock.evaluated, integrator.dt);
     forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
-    let forces: Vec<Vector<f64, D>> = cloud
-        .particles()
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|p| forcing.force(p.position))
-        .collect();
-    let mut mean = Vector::zero();
-    for &force in &forces {
-        mean += force;
-    }
-    mean = mean * (1.0 / cloud.len().max(1) as f64);
+    let forces = forcing.forces(&cloud);
     for (a, force) in cloud.acceleration.iter_mut().zip(forces) {
-        *a += force - mean;
+        *a += force;
     }
 }
 

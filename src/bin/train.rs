@@ -1,1 +1,329 @@
-fn main() {}
+//! `train`: learns the law of a flow from its moving particles.
+
+mod common;
+#[path = "common/scene.rs"]
+mod scene;
+
+use clap::Parser;
+use common::{conclude, say, say_json};
+use scene::{SceneArguments, explain, in_dimension, progress};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+use whirls::learn::{Iteration, Learner, Outcome};
+use whirls::models::Parameter;
+use whirls::recording::{self, Level, Recorder, Recording, TrainStep};
+use whirls::run::{frame, run_info, run_recorded, truth_from_recording};
+use whirls::scene::Learn;
+use whirls::truth::Truth;
+use whirls::{Error, Flow, Result, Scene};
+
+/// Learns the law of a flow from its moving particles, and records truth, search and learned flow.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
+    #[arg(default_value = "inverse-3d")]
+    scene: String,
+    /// Learn from the true particles of a recording instead of a flow generated on the spot.
+    #[arg(long, value_name = "FILE.mcap")]
+    truth: Option<PathBuf>,
+    /// Where to record [default: recordings/SCENE.mcap].
+    #[arg(long, value_name = "PATH")]
+    record: Option<PathBuf>,
+    /// Go on from the last parameters of an earlier recording.
+    #[arg(long, value_name = "FILE.mcap")]
+    resume: Option<PathBuf>,
+    /// Compare the gradient at the first guess with central differences, and stop.
+    #[arg(long)]
+    check_gradient: bool,
+    /// Show truth and search in a Rerun viewer once recorded (needs the feature `viewer`).
+    #[arg(long)]
+    live: bool,
+    #[command(flatten)]
+    common: SceneArguments,
+}
+
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    model: &'static str,
+    particles: usize,
+    steps: usize,
+    gradient: &'static str,
+    iterations: usize,
+    loss_initial: f64,
+    loss_final: f64,
+    parameters: BTreeMap<&'static str, f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    truth: Option<BTreeMap<&'static str, f64>>,
+    seconds: Seconds,
+    recording: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Seconds {
+    truth: f64,
+    train: f64,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
+        if arguments.common.print_scene {
+            say(scene.to_toml());
+            return Ok(());
+        }
+        in_dimension!(scene, train(&arguments, &scene))
+    }))
+}
+
+/// What is learned from: the truth, and its parameters where they are known.
+struct Lesson<const D: usize> {
+    learn: Learn,
+    truth: Truth<D>,
+    known: Option<Vec<f64>>,
+    seconds: f64,
+}
+
+fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    if arguments.live && cfg!(not(feature = "viewer")) {
+        return Err(Error::input(
+            "--live",
+            "a build with the feature `viewer`",
+            "a build without it",
+            "add --features viewer, or run `replay` on the recording",
+        ));
+    }
+    let lesson = lesson::<D>(arguments, scene)?;
+    let observations = lesson.truth.observations(scene, &lesson.learn);
+    let mut learner = Learner::new(scene, lesson.truth.states[0].clone(), observations)?;
+    let guess = first_guess(arguments, scene, &learner)?;
+    if arguments.common.explain {
+        learner.evaluate(&guess, 1)?;
+        return explain(learner.flow_mut());
+    }
+    if arguments.check_gradient {
+        return check_gradient(&mut learner, &guess, lesson.learn.frames);
+    }
+    let path = arguments
+        .record
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(format!("recordings/{}.mcap", scene.name)));
+    let mut recorder = Recorder::create(&path, &run_info(scene, "train"))?;
+    for (k, (state, densities)) in lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate() {
+        recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
+    }
+    recorder.checkpoint()?;
+    let clock = Instant::now();
+    let outcome = search(&mut learner, guess, &lesson, &mut recorder)
+        .and_then(|outcome| record_learned(scene, &lesson, &outcome, &mut recorder).map(|()| outcome));
+    if let Err(error) = &outcome {
+        recorder.log(Level::Error, lesson.truth.states[0].time, error.to_string())?;
+    }
+    recorder.finish()?;
+    let outcome = outcome?;
+    let train = clock.elapsed().as_secs_f64();
+    let report = report(scene, &lesson, &outcome, (train, path));
+    describe(&report);
+    if arguments.common.json {
+        say_json(&report)?;
+    }
+    show_live(arguments, &report.recording)
+}
+
+fn lesson<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<Lesson<D>> {
+    let learn = scene.learn.clone().ok_or_else(|| {
+        Error::input(
+            format!("scene {}", scene.name),
+            "a [learn] table",
+            "none",
+            "say what is to be learned, or run `simulate`",
+        )
+    })?;
+    let clock = Instant::now();
+    let (truth, known) = match &arguments.truth {
+        Some(path) => {
+            let recording = Recording::open(path)?;
+            let part = (learn.after as usize, learn.frames);
+            (truth_from_recording(&recording, scene, part)?, None)
+        }
+        None => {
+            let parameters = scene.parameters();
+            let known = learn.parameters.iter().map(|&p| parameters.get(p)).collect();
+            (Truth::generate(scene, (learn.after, learn.frames))?, Some(known))
+        }
+    };
+    Ok(Lesson { learn, truth, known, seconds: clock.elapsed().as_secs_f64() })
+}
+
+fn first_guess<const D: usize>(
+    arguments: &Arguments,
+    scene: &Scene,
+    learner: &Learner<D>,
+) -> Result<Vec<f64>> {
+    let Some(path) = &arguments.resume else { return Ok(learner.guess(scene.seed)) };
+    let earlier = Recording::open(path)?;
+    let names: Vec<&str> = scene.learn.iter().flat_map(|l| &l.parameters).map(|p| p.name()).collect();
+    let steps = earlier.train_steps()?;
+    match steps.last() {
+        Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),
+        _ => Err(Error::input(
+            path.display(),
+            format!("at least one iteration over {}", names.join(", ")),
+            format!("{} iterations over {}", steps.len(), earlier.run().parameters.join(", ")),
+            "resume with the scene that wrote the recording",
+        )),
+    }
+}
+
+fn search<const D: usize>(
+    learner: &mut Learner<D>,
+    guess: Vec<f64>,
+    lesson: &Lesson<D>,
+    recorder: &mut Recorder,
+) -> Result<Outcome> {
+    let bar = progress(lesson.learn.iterations as u64, "train");
+    let start = lesson.truth.states[0].time;
+    let outcome = learner.run(guess, &mut |iteration: &Iteration<'_>| {
+        bar.inc(1);
+        bar.set_message(format!("loss {:.2e}", iteration.evaluation.loss));
+        recorder.train_step(train_step(iteration, lesson))?;
+        if let Some(note) = &iteration.note {
+            recorder.log(Level::Warning, start, format!("iteration {}: {note}", iteration.index))?;
+        }
+        recorder.checkpoint()
+    });
+    bar.finish_and_clear();
+    outcome
+}
+
+fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> TrainStep {
+    let evaluation = iteration.evaluation;
+    TrainStep {
+        iteration: iteration.index as u64,
+        loss: evaluation.loss,
+        loss_trajectory: evaluation.trajectory,
+        loss_field: evaluation.field,
+        gradient_norm: evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
+        learning_rate_or_damping: iteration.rate,
+        window: iteration.window as u64,
+        parameters: evaluation.parameters.clone(),
+        gradients: evaluation.gradient.clone(),
+        truth: lesson.known.clone().unwrap_or_default(),
+        ..TrainStep::default()
+    }
+    .with_logarithms()
+}
+
+/// Runs the learned flow once more, and records it beside the truth.
+fn record_learned<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    outcome: &Outcome,
+    recorder: &mut Recorder,
+) -> Result<()> {
+    let mut flow = Flow::<D>::from_state(scene, &lesson.truth.states[0])?;
+    let mut parameters = scene.parameters();
+    for (&parameter, &value) in lesson.learn.parameters.iter().zip(&outcome.evaluation.parameters) {
+        parameters.set(parameter, value);
+    }
+    flow.set_parameters(parameters);
+    let steps = (lesson.learn.frames as u64, scene.record.every);
+    run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})
+}
+
+fn report<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    outcome: &Outcome,
+    (train, recording): (f64, PathBuf),
+) -> Report {
+    let named = |values: &[f64]| {
+        let names = lesson.learn.parameters.iter().map(|p: &Parameter| p.name());
+        names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
+    };
+    Report {
+        scene: scene.name.clone(),
+        model: "physics",
+        particles: lesson.truth.densities[0].len(),
+        steps: lesson.learn.frames,
+        gradient: "forward",
+        iterations: outcome.iterations,
+        loss_initial: outcome.initial_loss,
+        loss_final: outcome.evaluation.loss,
+        parameters: named(&outcome.evaluation.parameters),
+        truth: lesson.known.as_deref().map(named),
+        seconds: Seconds { truth: lesson.seconds, train },
+        recording,
+    }
+}
+
+fn describe(report: &Report) {
+    say(format!(
+        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations ({:.1} s)",
+        report.scene,
+        report.particles,
+        report.steps,
+        report.loss_initial,
+        report.loss_final,
+        report.iterations,
+        report.seconds.train
+    ));
+    for (name, value) in &report.parameters {
+        let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {
+            Some(truth) => format!("   truth {truth}, off by {:.1e}", (value - truth).abs()),
+            None => String::new(),
+        };
+        say(format!("  {name:6} {value:.12}{against}"));
+    }
+    say(format!("recorded in {}", report.recording.display()));
+}
+
+/// Prints the gradient at a guess beside central differences with the best of three steps.
+fn check_gradient<const D: usize>(
+    learner: &mut Learner<D>,
+    guess: &[f64],
+    frames: usize,
+) -> Result<()> {
+    let clock = Instant::now();
+    let exact = learner.evaluate(guess, frames)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    say(format!("loss {:.6e} at {guess:.6?}; forward gradient in {seconds:.3} s", exact.loss));
+    say("  parameter   forward                central differences    relative difference");
+    for (k, parameter) in learner.columns().to_vec().into_iter().enumerate() {
+        let mut best = (f64::INFINITY, f64::NAN);
+        for relative in [1e-4, 1e-5, 1e-6] {
+            let step = relative * guess[k].abs().max(1e-3);
+            let mut at = |x: f64| {
+                let mut moved = guess.to_vec();
+                moved[k] = x;
+                learner.evaluate(&moved, frames).map(|e| e.loss)
+            };
+            let slope = (at(guess[k] + step)? - at(guess[k] - step)?) / (2.0 * step);
+            let error = ((slope - exact.gradient[k]) / exact.gradient[k]).abs();
+            if error < best.0 {
+                best = (error, slope);
+            }
+        }
+        let (name, forward, (error, central)) = (parameter.name(), exact.gradient[k], best);
+        say(format!("  {name:9} {forward:+.15e} {central:+.15e} {error:.1e}"));
+    }
+    Ok(())
+}
+
+#[cfg(feature = "viewer")]
+fn show_live(arguments: &Arguments, path: &std::path::Path) -> Result<()> {
+    use whirls::recording::dashboard::{Target, show};
+    if !arguments.live {
+        return Ok(());
+    }
+    show(&Recording::open(path)?, &path.display().to_string(), &Target::Spawn)
+}
+
+#[cfg(not(feature = "viewer"))]
+fn show_live(_: &Arguments, _: &std::path::Path) -> Result<()> {
+    Ok(())
+}

@@ -1,0 +1,71 @@
+//! What commands with a scene share: options, progress, explanation.
+
+use crate::common::say;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use whirls::{Result, Scene};
+
+/// Options that every command with a scene takes.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct SceneArguments {
+    /// Override a key of the scene, as in --set fluid.alpha=2 (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) overrides: Vec<String>,
+    /// Seed of everything random [default: the scene's].
+    #[arg(long)]
+    pub(crate) seed: Option<u64>,
+    /// Threads [default: all cores]; the results are the same bits for any number.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) threads: Option<u16>,
+    /// Print one JSON object as the last line of standard output.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Print the scene with all its keys, and stop.
+    #[arg(long)]
+    pub(crate) print_scene: bool,
+    /// Print what the scene schedules and how much memory it takes, and stop.
+    #[arg(long)]
+    pub(crate) explain: bool,
+}
+
+impl SceneArguments {
+    /// The scene, with overrides and seed; also starts the threads.
+    pub(crate) fn open(&self, name_or_path: &str) -> Result<Scene> {
+        let threads = usize::from(self.threads.unwrap_or(0));
+        // A second pool in one process would be a mistake of ours, and harmless.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+        let mut scene = Scene::open(name_or_path, &self.overrides)?;
+        scene.seed = self.seed.unwrap_or(scene.seed);
+        Ok(scene)
+    }
+}
+
+/// A bar on standard error with rate and estimate; nothing where that is not a terminal.
+pub(crate) fn progress(length: u64, what: &'static str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    let template = "{prefix:>10} [{bar:30}] {pos}/{len} {msg} ({elapsed}, {eta} left)";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_prefix(what);
+    bar
+}
+
+/// Runs `$run::<D>($($argument),*)` with the scene's dimension as `D`.
+macro_rules! in_dimension {
+    ($scene:expr, $run:ident($($argument:expr),*)) => {
+        if $scene.dimension == 2 { $run::<2>($($argument),*) } else { $run::<3>($($argument),*) }
+    };
+}
+pub(crate) use in_dimension;
+
+/// Prints the systems of one step, in order, and the memory of one particle, by part.
+pub(crate) fn explain<const D: usize>(flow: &mut whirls::Flow<D>) -> Result<()> {
+    say("one step runs, in this order:");
+    flow.systems().iter().for_each(|system| say(format!("  {system}")));
+    say("bytes per particle:");
+    let parts = flow.bytes_per_particle();
+    parts.iter().for_each(|(part, bytes)| say(format!("  {part:16} {bytes:8.1}")));
+    say(format!("  {:16} {:8.1}", "in all", parts.iter().map(|(_, bytes)| bytes).sum::<f64>()));
+    Ok(())
+}

@@ -1,0 +1,152 @@
+//! `simulate`: runs the flow of a scene forward.
+
+mod common;
+#[path = "common/scene.rs"]
+mod scene;
+
+use clap::Parser;
+use common::{conclude, say, say_json};
+use scene::{SceneArguments, explain, in_dimension, progress};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+use whirls::flow::State;
+use whirls::recording::{self, Recorder, Recording};
+use whirls::run::{run_info, run_recorded};
+use whirls::statistics::conservation;
+use whirls::vector::Vector;
+use whirls::{Error, Flow, Result, Scene};
+
+/// Runs the flow of a scene forward and records it.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
+    #[arg(default_value = "inverse-3d")]
+    scene: String,
+    /// Go on from a frame of a recording instead of the scene's initial state.
+    #[arg(long, value_name = "FILE.mcap")]
+    from: Option<PathBuf>,
+    /// Which frame of that recording, from 0 [default: the last].
+    #[arg(long, requires = "from")]
+    frame: Option<usize>,
+    /// Steps to run [default: the scene's].
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing.
+    #[arg(long, value_name = "PATH")]
+    record: Option<PathBuf>,
+    #[command(flatten)]
+    common: SceneArguments,
+}
+
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    particles: usize,
+    steps: u64,
+    neighbours_per_particle: f64,
+    ns_per_particle_step: f64,
+    momentum_drift: f64,
+    energy_drift: f64,
+    bytes_per_particle: f64,
+    recording: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
+        if arguments.common.print_scene {
+            say(scene.to_toml());
+            return Ok(());
+        }
+        in_dimension!(scene, simulate(&arguments, &scene))
+    }))
+}
+
+fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    let mut flow = match &arguments.from {
+        None => Flow::<D>::new(scene)?,
+        Some(path) => Flow::from_state(scene, &state_from(path, arguments.frame)?)?,
+    };
+    if arguments.common.explain {
+        flow.start()?;
+        return explain(&mut flow);
+    }
+    let steps = arguments.steps.unwrap_or(scene.time.steps);
+    let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
+    let path = arguments.record.clone().unwrap_or(default);
+    let path = (scene.record.every > 0).then_some(path);
+    let mut recorder =
+        path.as_ref().map(|path| Recorder::create(path, &run_info(scene, "simulate"))).transpose()?;
+    flow.start()?;
+    let before = conservation(&mut flow);
+    let bar = progress(steps, "simulate");
+    let clock = Instant::now();
+    let target = (recorder.as_mut(), recording::Flow::Truth);
+    let outcome = run_recorded(&mut flow, (steps, scene.record.every), target, &mut |_| bar.inc(1));
+    let seconds = clock.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    if let Some(recorder) = recorder {
+        recorder.finish()?;
+    }
+    outcome?;
+    let after = conservation(&mut flow);
+    let particles = flow.densities().len();
+    let drift = before.momentum.iter().zip(&after.momentum).map(|(a, b)| (a - b).powi(2));
+    let report = Report {
+        scene: scene.name.clone(),
+        particles,
+        steps,
+        neighbours_per_particle: flow.neighbours_per_particle(),
+        ns_per_particle_step: 1e9 * seconds / (particles as f64 * steps.max(1) as f64),
+        momentum_drift: drift.sum::<f64>().sqrt(),
+        energy_drift: (after.total_energy - before.total_energy) / before.total_energy,
+        bytes_per_particle: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
+        recording: path,
+    };
+    describe(&report);
+    if arguments.common.json { say_json(&report) } else { Ok(()) }
+}
+
+fn describe(report: &Report) {
+    say(format!(
+        "{}: {} particles, {} steps, {:.1} neighbours, {:.0} ns per particle and step",
+        report.scene,
+        report.particles,
+        report.steps,
+        report.neighbours_per_particle,
+        report.ns_per_particle_step
+    ));
+    say(format!(
+        "momentum drift {:.1e}, energy drift {:+.2e} of the total, {:.0} bytes per particle",
+        report.momentum_drift, report.energy_drift, report.bytes_per_particle
+    ));
+    if let Some(path) = &report.recording {
+        say(format!("recorded in {}", path.display()));
+    }
+}
+
+/// A state from a recording: learned particles where there are any, otherwise true ones.
+fn state_from<const D: usize>(path: &std::path::Path, frame: Option<usize>) -> Result<State<D>> {
+    let recording = Recording::open(path)?;
+    let learned = recording.frame_count(recording::Flow::Learned) > 0;
+    let topic = if learned { recording::Flow::Learned } else { recording::Flow::Truth };
+    let count = recording.frame_count(topic);
+    let k = frame.unwrap_or(count.saturating_sub(1));
+    if recording.run().dimension != D || k >= count {
+        return Err(Error::input(
+            path.display(),
+            format!("dimension {D} and a frame {k}"),
+            format!("dimension {} and {count} frames", recording.run().dimension),
+            "choose a scene of that dimension and a frame that is there",
+        ));
+    }
+    let frame = recording.frame(topic, k)?;
+    Ok(State {
+        time: frame.time,
+        positions: frame.positions.into_iter().map(Vector::from_3d).collect(),
+        velocities: frame.velocities.into_iter().map(Vector::from_3d).collect(),
+    })
+}

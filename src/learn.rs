@@ -1,0 +1,260 @@
+//! Algorithm 1: predict, differentiate, compare, update.
+
+use crate::error::{Error, Result};
+use crate::flow::{Differentiation, Flow, State, Stream, stream};
+use crate::models::{Parameter, Parameters};
+use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
+use crate::scene::{Learn, Optimiser, Scene};
+use crate::systems::loss::Observations;
+use rand::RngExt;
+
+/// What is known after one evaluation of the loss.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// The learned parameters, in the scene's order.
+    pub parameters: Vec<f64>,
+    /// The weighted loss.
+    pub loss: f64,
+    /// Its trajectory part.
+    pub trajectory: f64,
+    /// Its field part.
+    pub field: f64,
+    /// `∂loss/∂parameters`.
+    pub gradient: Vec<f64>,
+    /// Gauss–Newton matrix, row by row.
+    pub normal: Vec<f64>,
+}
+
+/// One iteration of the search, as it is recorded.
+#[derive(Clone, Debug)]
+pub struct Iteration<'a> {
+    /// Counted from zero, over all stages.
+    pub index: usize,
+    /// Frames that count in this stage.
+    pub window: usize,
+    /// Loss and gradient at the parameters that are now best (Levenberg–Marquardt) or current.
+    pub evaluation: &'a Evaluation,
+    /// Damping (Levenberg–Marquardt) or learning rate.
+    pub rate: f64,
+    /// Why the last trial was taken back, if it was.
+    pub note: Option<String>,
+}
+
+/// How a search ended.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Loss and parameters over all frames.
+    pub evaluation: Evaluation,
+    /// Loss of the first guess over all frames.
+    pub initial_loss: f64,
+    /// Iterations of all stages.
+    pub iterations: usize,
+}
+
+/// A prediction that learns: a flow with sensitivities, started again and again from the same state.
+pub struct Learner<const D: usize> {
+    flow: Flow<D>,
+    from: State<D>,
+    learn: Learn,
+    fixed: Parameters<f64>,
+    frames: usize,
+}
+
+impl<const D: usize> Learner<D> {
+    /// A learner for a scene, from the first true state and the observations behind it.
+    pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
+        let learn = scene.learn.clone().ok_or_else(|| {
+            Error::input(
+                format!("scene {}", scene.name),
+                "a [learn] table",
+                "none",
+                "say what is to be learned, or run `simulate`",
+            )
+        })?;
+        let differentiation =
+            Differentiation { parameters: learn.parameters.clone(), coupling: learn.coupling };
+        let frames = observations.frames.len();
+        let flow = Flow::build(scene, &from, Some(&differentiation), Some(observations))?;
+        Ok(Self { flow, from, learn, fixed: scene.parameters(), frames })
+    }
+
+    /// The flow that predicts.
+    pub fn flow_mut(&mut self) -> &mut Flow<D> {
+        &mut self.flow
+    }
+
+    /// The learned parameters, in the scene's order.
+    pub fn columns(&self) -> &[Parameter] {
+        &self.learn.parameters
+    }
+
+    /// The first guess: the scene's, or drawn from uniform (0, 1) where it has none.
+    pub fn guess(&self, seed: u64) -> Vec<f64> {
+        let mut generator = stream(seed, Stream::Guess);
+        let draw = |p: &Parameter| {
+            let drawn = generator.random::<f64>();
+            self.learn.guess.get(p.name()).copied().unwrap_or(drawn)
+        };
+        self.learn.parameters.iter().map(draw).collect()
+    }
+
+    /// All physical parameters where the learned ones are `learned`.
+    pub fn parameters(&self, learned: &[f64]) -> Parameters<f64> {
+        let mut parameters = self.fixed;
+        for (&parameter, &value) in self.learn.parameters.iter().zip(learned) {
+            parameters.set(parameter, value);
+        }
+        parameters
+    }
+
+    /// Runs the prediction over the first `window` frames and compares it with the truth.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted.
+    pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
+        self.flow.set_parameters(self.parameters(learned));
+        self.flow.set_window(window);
+        self.flow.reset(&self.from);
+        for _ in 0..window {
+            self.flow.step()?;
+        }
+        let loss = self.flow.loss();
+        let count = learned.len();
+        let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
+        Ok(Evaluation {
+            parameters: learned.to_vec(),
+            loss: loss.trajectory.value + loss.field.value,
+            trajectory: loss.trajectory.value,
+            field: loss.field.value,
+            gradient: add(loss.trajectory.gradient(count), loss.field.gradient(count)),
+            normal: add(loss.trajectory.normal(count), loss.field.normal(count)),
+        })
+    }
+
+    /// Searches from `guess`, through growing windows, and calls `watch` after each iteration.
+    pub fn run(
+        &mut self,
+        guess: Vec<f64>,
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Outcome> {
+        let initial_loss = self.evaluate(&guess, self.frames).map_or(f64::INFINITY, |e| e.loss);
+        let mut windows = self.learn.windows.clone();
+        windows.retain(|&w| w < self.frames);
+        windows.push(self.frames);
+        let mut search = Search { at: guess, index: 0 };
+        for window in windows {
+            let full = window == self.frames;
+            match self.learn.optimiser.clone() {
+                Optimiser::LevenbergMarquardt { damping } => {
+                    self.levenberg_marquardt(&mut search, (window, full), damping, watch)?;
+                }
+                Optimiser::Adam { rate, decay } => {
+                    let adam = Adam::new(rate, search.at.len());
+                    self.descend(&mut search, window, (adam, decay), watch)?;
+                }
+                Optimiser::Rmsprop { rate, decay } => {
+                    let rmsprop = Rmsprop::new(rate, search.at.len());
+                    self.descend(&mut search, window, (rmsprop, decay), watch)?;
+                }
+            }
+        }
+        let evaluation = self.evaluate(&search.at, self.frames)?;
+        Ok(Outcome { evaluation, initial_loss, iterations: search.index })
+    }
+}
+
+/// Where a search stands.
+struct Search {
+    at: Vec<f64>,
+    index: usize,
+}
+
+/// Trials in a row that may fail before a search by Levenberg–Marquardt counts as finished.
+const PATIENCE: usize = 12;
+
+impl<const D: usize> Learner<D> {
+    fn levenberg_marquardt(
+        &mut self,
+        search: &mut Search,
+        (window, last): (usize, bool),
+        damping: f64,
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<()> {
+        let mut optimiser = LevenbergMarquardt::new(damping);
+        let mut best = self.evaluate(&search.at, window)?;
+        let enough = if last { self.learn.target } else { self.learn.target.max(1e-9 * best.loss) };
+        let mut failures = 0;
+        while best.loss > enough && failures < PATIENCE && search.index < self.learn.iterations {
+            let note = self.attempt(&mut optimiser, &mut best, window);
+            failures = if note.is_some() { failures + 1 } else { 0 };
+            let (index, rate) = (search.index, optimiser.damping());
+            watch(&Iteration { index, window, evaluation: &best, rate, note })?;
+            search.index += 1;
+        }
+        search.at = best.parameters;
+        Ok(())
+    }
+
+    /// One trial: `best` moves there if it is better, otherwise the reason comes back.
+    fn attempt(
+        &mut self,
+        optimiser: &mut LevenbergMarquardt,
+        best: &mut Evaluation,
+        window: usize,
+    ) -> Option<String> {
+        let products = Products::new(&self.learn.parameters);
+        let (gradient, normal) =
+            products.pull_back(&best.parameters, &best.gradient, &best.normal);
+        let Some((step, predicted)) = optimiser.propose(&gradient, &normal) else {
+            optimiser.reject();
+            return Some("the damped normal matrix is not positive definite".to_owned());
+        };
+        let here = products.products(&best.parameters);
+        let there: Vec<f64> = here.iter().zip(step).map(|(x, s)| x + s).collect();
+        let Some(trial) = products.parameters(&there) else {
+            optimiser.reject();
+            return Some("trial taken back: its sound speed is imaginary".to_owned());
+        };
+        match self.evaluate(&trial, window) {
+            Ok(found) if found.loss < best.loss => {
+                optimiser.accept(best.loss - found.loss, predicted);
+                *best = found;
+                None
+            }
+            Ok(found) => {
+                optimiser.reject();
+                Some(format!("trial taken back: loss {:.3e}", found.loss))
+            }
+            Err(error) => {
+                optimiser.reject();
+                Some(format!("trial taken back: {error}"))
+            }
+        }
+    }
+
+    fn descend(
+        &mut self,
+        search: &mut Search,
+        window: usize,
+        (mut optimiser, decay): (impl Descend, f64),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<()> {
+        // Each stage has an equal share of the iterations, and ten decays.
+        let stages = self.learn.windows.iter().filter(|&&w| w < self.frames).count() + 1;
+        let share = self.learn.iterations.div_ceil(stages);
+        for iteration in 0..share {
+            let evaluation = self.evaluate(&search.at, window)?;
+            let (index, rate) = (search.index, optimiser.rate());
+            watch(&Iteration { index, window, evaluation: &evaluation, rate, note: None })?;
+            search.index += 1;
+            if evaluation.loss <= self.learn.target {
+                break;
+            }
+            optimiser.descend(&mut search.at, &evaluation.gradient);
+            if (iteration + 1) % share.div_ceil(10) == 0 {
+                optimiser.set_rate(optimiser.rate() * decay);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,143 @@
+//! What a command does between its arguments and its report: flows recorded as they run.
+
+use crate::error::{Error, Result};
+use crate::flow::{Flow, State};
+use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
+use crate::scene::Scene;
+use crate::statistics;
+use crate::truth::Truth;
+use crate::vector::Vector;
+use std::collections::BTreeMap;
+
+/// What a recording says about the run that writes it.
+pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
+    let learned = scene.learn.iter().flat_map(|learn| &learn.parameters);
+    let speed_scale = match scene.record.speed_scale {
+        0.0 if scene.initial.velocity > 0.0 => 2.0 * scene.initial.velocity,
+        0.0 => 1.0,
+        given => given,
+    };
+    let metadata = [
+        ("command", command.to_owned()),
+        ("version", env!("CARGO_PKG_VERSION").to_owned()),
+        ("scene", scene.name.clone()),
+        ("model", "physics".to_owned()),
+        ("precision", "double".to_owned()),
+        ("seed", scene.seed.to_string()),
+        ("dt", format!("{:?}", scene.dt())),
+    ];
+    RunInfo {
+        scene_toml: scene.to_toml(),
+        dimension: scene.dimension,
+        box_length: scene.fluid.box_length,
+        speed_scale,
+        parameters: learned.map(|p| p.name().to_owned()).collect(),
+        metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
+    }
+}
+
+/// A state as a frame of a recording.
+pub fn frame<const D: usize>(step: u64, state: &State<D>, densities: &[f64]) -> Frame {
+    Frame::new::<D>(
+        step,
+        state.time,
+        state.positions.iter().map(|r| r.0),
+        state.velocities.iter().map(|v| v.0),
+        densities.to_vec(),
+    )
+}
+
+/// Records a flow as it stands: its particles on one topic, and what it keeps.
+pub fn record_now<const D: usize>(
+    recorder: &mut Recorder,
+    topic: recording::Flow,
+    flow: &mut Flow<D>,
+) -> Result<()> {
+    let (state, densities) = (flow.state(), flow.densities());
+    recorder.frame(topic, frame(flow.steps(), &state, &densities))?;
+    recorder.conservation(statistics::conservation(flow))
+}
+
+/// Runs a flow for `steps`, records every `every`-th state on one topic, and calls `after` behind
+/// each step. A flow that diverges leaves its last state and the reason in the recording.
+///
+/// # Errors
+/// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
+pub fn run_recorded<const D: usize>(
+    flow: &mut Flow<D>,
+    (steps, every): (u64, u64),
+    (mut recorder, topic): (Option<&mut Recorder>, recording::Flow),
+    after: &mut dyn FnMut(&Flow<D>),
+) -> Result<()> {
+    let mut keep = |flow: &mut Flow<D>| match &mut recorder {
+        Some(recorder) if every > 0 && flow.steps() % every == 0 => {
+            record_now(recorder, topic, flow)
+        }
+        _ => Ok(()),
+    };
+    let mut outcome = flow.start();
+    if outcome.is_ok() {
+        keep(flow)?;
+    }
+    for _ in 0..steps {
+        if outcome.is_err() {
+            break;
+        }
+        outcome = flow.step();
+        keep(flow)?;
+        after(flow);
+    }
+    if let (Err(error), Some(recorder)) = (&outcome, &mut recorder) {
+        recorder.log(Level::Error, flow.time(), error.to_string())?;
+    }
+    outcome
+}
+
+/// The true states in a recording, to learn from or to go on from.
+///
+/// # Errors
+/// [`Error::Input`] where the recording does not fit the scene: dimension, box, number of frames
+/// from `first` on, or the time between frames.
+pub fn truth_from_recording<const D: usize>(
+    recording: &Recording,
+    scene: &Scene,
+    (first, frames): (usize, usize),
+) -> Result<Truth<D>> {
+    let topic = recording::Flow::Truth;
+    let (run, count) = (recording.run(), recording.frame_count(topic));
+    let refuse = |expected: String, found: String, remedy: &str| {
+        Err(Error::input(format!("recording of {}", topic.topic()), expected, found, remedy))
+    };
+    if run.dimension != D {
+        let remedy = "use a scene of the recording's dimension";
+        return refuse(format!("dimension {D}"), run.dimension.to_string(), remedy);
+    }
+    if (run.box_length - scene.fluid.box_length).abs() > 1e-12 * run.box_length {
+        let (expected, found) = (scene.fluid.box_length, run.box_length);
+        return refuse(format!("a box of {expected}"), found.to_string(), "set fluid.box_length");
+    }
+    if count < first + frames + 1 {
+        let expected = format!("{} frames (the start, and learn.frames behind it)", first + frames + 1);
+        return refuse(expected, count.to_string(), "set learn.after and learn.frames to what there is");
+    }
+    let mut truth = Truth::default();
+    for k in first..=first + frames {
+        let frame = recording.frame(topic, k)?;
+        truth.states.push(State {
+            time: frame.time,
+            positions: frame.positions.into_iter().map(Vector::from_3d).collect(),
+            velocities: frame.velocities.into_iter().map(Vector::from_3d).collect(),
+        });
+        truth.densities.push(frame.densities);
+    }
+    for pair in truth.states.windows(2) {
+        let apart = pair[1].time - pair[0].time;
+        // Recorded times are whole nanoseconds.
+        if (apart - scene.dt()).abs() > 2e-9 {
+            let expected = format!("frames {} apart (the scene's time step)", scene.dt());
+            let remedy = "set time.dt to the time between frames";
+            return refuse(expected, apart.to_string(), remedy);
+        }
+    }
+    Ok(truth)
+}

@@ -1,0 +1,92 @@
+//! What is measured of a flow: what it keeps, and what each system gives away.
+
+use crate::flow::Flow;
+use crate::models::{Model, Parameter, Parameters};
+use crate::recording::Conservation;
+use crate::state::internal_energy;
+use crate::systems::acceleration::{Law, pair_accelerations};
+use crate::systems::forcing::external_forces;
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::Cloud;
+use crate::vector::Vector;
+use bevy_ecs::prelude::World;
+
+/// `Σ m a` over all particles, per system: zero to round-off where the system conserves momentum.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MomentumRates<const D: usize> {
+    /// Of the pressure.
+    pub pressure: Vector<f64, D>,
+    /// Of the viscosity.
+    pub viscosity: Vector<f64, D>,
+    /// Of the forcing.
+    pub forcing: Vector<f64, D>,
+    /// `Σ m |a|` of all three: what round-off is measured against.
+    pub scale: f64,
+}
+
+/// `Σ m a` of pressure, viscosity and forcing as the cloud stands, each by the very pair loop that
+/// moves the particles: viscosity with all stresses at zero, pressure with `α = β = 0`.
+pub(crate) fn momentum_rates<M: Model<D>, const D: usize>(world: &World) -> MomentumRates<D> {
+    let law = &world.resource::<Law<M>>().0;
+    let cloud = world.resource::<Cloud<D>>();
+    let neighbours = world.resource::<Neighbours<D>>();
+    let mut inviscid = law.clone();
+    let mut parameters: Parameters<f64> = *law.parameters();
+    parameters.set(Parameter::Alpha, 0.0);
+    parameters.set(Parameter::Beta, 0.0);
+    inviscid.set_parameters(parameters);
+    let mut stressless = cloud.packed.clone();
+    stressless.iter_mut().for_each(|p| p.stress = 0.0);
+    let mut accelerations = vec![Vector::zero(); cloud.len()];
+    let mut rates = MomentumRates::default();
+    let mut total = |accelerations: &[Vector<f64, D>]| {
+        rates.scale += law.mass() * accelerations.iter().map(|a| a.norm()).sum::<f64>();
+        momentum(law.mass(), accelerations)
+    };
+    pair_accelerations(neighbours, &inviscid, &cloud.packed, &mut accelerations);
+    let pressure = total(&accelerations);
+    pair_accelerations(neighbours, law, &stressless, &mut accelerations);
+    let viscosity = total(&accelerations);
+    let forcing = total(&external_forces::<D>(world));
+    MomentumRates { pressure, viscosity, forcing, ..rates }
+}
+
+/// `Σ m v` (or `Σ m a`).
+pub fn momentum<const D: usize>(mass: f64, velocities: &[Vector<f64, D>]) -> Vector<f64, D> {
+    let mut sum = Vector::zero();
+    velocities.iter().for_each(|&v| sum += v);
+    sum * mass
+}
+
+/// Everything that `/diag/conservation` records of a flow as it stands.
+pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
+    let (state, densities) = (flow.state(), flow.densities());
+    let parameters = flow.parameters();
+    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
+    let mass = flow.mass();
+    let kinetic: f64 = state.velocities.iter().map(|v| 0.5 * mass * v.norm_squared()).sum();
+    let internal: f64 = densities.iter().map(|&rho| mass * internal_energy(rho, c, gamma)).sum();
+    let fastest = state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
+    let deviation = densities.iter().map(|rho| (rho - 1.0).abs()).fold(0.0, f64::max);
+    let rates = flow.momentum_rates();
+    Conservation {
+        step: flow.steps(),
+        time: flow.time(),
+        kinetic_energy: kinetic,
+        total_energy: kinetic + internal,
+        max_mach: fastest / c,
+        max_density_deviation: deviation,
+        momentum: momentum(mass, &state.velocities).0.to_vec(),
+        momentum_pressure: rates.pressure.0.to_vec(),
+        momentum_viscosity: rates.viscosity.0.to_vec(),
+        momentum_forcing: rates.forcing.0.to_vec(),
+        courant: flow.dt() * (c + fastest) / flow.smoothing_length(),
+    }
+}
+
+/// `Σᵢ rᵢ × Fᵢ` with each pair force at its minimum image, `½ Σᵢⱼ rᵢⱼ × m aᵢⱼ`: zero to round-off for
+/// central forces. In 2D only the last component differs from zero.
+pub fn pair_torque(pairs: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> [f64; 3] {
+    let cross = |a: [f64; 3], b: [f64; 3]| glam::DVec3::from(a).cross(glam::DVec3::from(b));
+    (pairs.map(|(r, f)| cross(r, f)).sum::<glam::DVec3>() * 0.5).to_array()
+}
