@@ -1,0 +1,58 @@
+//! Colours of particles: a perceptually uniform map that stays visible on a dark background.
+
+/// Nine stops, evenly spaced, after the `plasma` map (Smith & van der Walt, public domain): lightness
+/// rises steadily from blue over magenta to yellow. The first three are lifted off the black.
+const STOPS: [[u8; 3]; 9] = [
+    [44, 28, 160],
+    [82, 20, 175],
+    [130, 22, 176],
+    [168, 34, 150],
+    [203, 70, 121],
+    [229, 107, 93],
+    [248, 148, 65],
+    [253, 195, 40],
+    [240, 249, 33],
+];
+
+/// Red, green, blue and alpha of a fraction of the scale: 0 is blue, 1 and all beyond is yellow,
+/// and a fraction that is not a number is white, so that a flow that blew up is seen to have done so.
+pub fn colour(fraction: f64) -> [u8; 4] {
+    if fraction.is_nan() {
+        return [255; 4];
+    }
+    let place = fraction.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
+    let stop = (place as usize).min(STOPS.len() - 2);
+    let (low, high, part) = (STOPS[stop], STOPS[stop + 1], place - stop as f64);
+    let mix = |k: usize| {
+        let (low, high) = (f64::from(low[k]), f64::from(high[k]));
+        (low + part * (high - low)).round() as u8
+    };
+    [mix(0), mix(1), mix(2), 255]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lightness_rises_with_the_fraction() {
+        let lightness = |fraction| {
+            let [r, g, b, _] = colour(fraction).map(f64::from);
+            0.2126 * r + 0.7152 * g + 0.0722 * b
+        };
+        let rising: Vec<f64> = (0..=100).map(|k| lightness(f64::from(k) / 100.0)).collect();
+        assert!(
+            rising.windows(2).all(|pair| pair[1] > pair[0] - 1.0),
+            "{rising:?}"
+        );
+    }
+
+    #[test]
+    fn no_fraction_is_out_of_range() {
+        for fraction in [f64::NEG_INFINITY, -1.0, -0.0, 1.0, 2.0, f64::INFINITY] {
+            assert_eq!(colour(fraction)[3], 255);
+        }
+        assert_eq!(colour(f64::INFINITY), colour(1.0));
+        assert_eq!(colour(f64::NAN), [255; 4]);
+    }
+}

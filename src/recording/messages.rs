@@ -1,0 +1,287 @@
+//! The protobuf messages of a recording: four of Foxglove's, three of our own.
+//!
+//! Field numbers of the `foxglove.*` messages are those published by Foxglove, so that its viewers
+//! and Rerun read them; fields that we never fill (`pose`'s optional extras, identifiers) are left out.
+//! Floating-point fields are marked `required` for one reason: a proto3 encoder drops a `-0.0`, and
+//! every value must be read back with the bits it had. On the wire they are ordinary proto3 fields.
+
+/// `foxglove.PointCloud`: rows of packed fields, one row per particle.
+///
+/// Two fields of our own, with numbers far from Foxglove's, keep what its message has no room for:
+/// the exact time (its timestamp has whole nanoseconds) and the step.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct PointCloud {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<prost_types::Timestamp>,
+    #[prost(string, tag = "2")]
+    pub(super) frame_id: String,
+    #[prost(message, optional, tag = "3")]
+    pub(super) pose: Option<Pose>,
+    #[prost(fixed32, tag = "4")]
+    pub(super) point_stride: u32,
+    #[prost(message, repeated, tag = "5")]
+    pub(super) fields: Vec<PackedElementField>,
+    #[prost(bytes = "vec", tag = "6")]
+    pub(super) data: Vec<u8>,
+    #[prost(double, required, tag = "1001")]
+    pub(super) simulation_time: f64,
+    #[prost(uint64, tag = "1002")]
+    pub(super) simulation_step: u64,
+}
+
+/// `foxglove.PackedElementField`: name, byte offset and number type of one field of a row.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct PackedElementField {
+    #[prost(string, tag = "1")]
+    pub(super) name: String,
+    #[prost(fixed32, tag = "2")]
+    pub(super) offset: u32,
+    #[prost(enumeration = "NumericType", tag = "3")]
+    pub(super) r#type: i32,
+}
+
+/// `foxglove.PackedElementField.NumericType`, the whole of it: the descriptor lists every value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, prost::Enumeration)]
+#[repr(i32)]
+pub(super) enum NumericType {
+    Unknown = 0,
+    Uint8 = 1,
+    Int8 = 2,
+    Uint16 = 3,
+    Int16 = 4,
+    Uint32 = 5,
+    Int32 = 6,
+    Float32 = 7,
+    Float64 = 8,
+}
+
+/// `foxglove.Vector3`.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub(super) struct Vector3 {
+    #[prost(double, required, tag = "1")]
+    pub(super) x: f64,
+    #[prost(double, required, tag = "2")]
+    pub(super) y: f64,
+    #[prost(double, required, tag = "3")]
+    pub(super) z: f64,
+}
+
+/// `foxglove.Quaternion`.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub(super) struct Quaternion {
+    #[prost(double, required, tag = "1")]
+    pub(super) x: f64,
+    #[prost(double, required, tag = "2")]
+    pub(super) y: f64,
+    #[prost(double, required, tag = "3")]
+    pub(super) z: f64,
+    #[prost(double, required, tag = "4")]
+    pub(super) w: f64,
+}
+
+/// `foxglove.Pose`; a cloud of ours always has the identity.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub(super) struct Pose {
+    #[prost(message, optional, tag = "1")]
+    pub(super) position: Option<Vector3>,
+    #[prost(message, optional, tag = "2")]
+    pub(super) orientation: Option<Quaternion>,
+}
+
+impl Pose {
+    /// No shift, no turn.
+    pub(super) fn identity() -> Self {
+        Self {
+            position: Some(Vector3::default()),
+            orientation: Some(Quaternion::identity()),
+        }
+    }
+}
+
+impl Quaternion {
+    /// No turn.
+    pub(super) fn identity() -> Self {
+        Self {
+            x: 0.0,
+            y: 0.0,
+            z: 0.0,
+            w: 1.0,
+        }
+    }
+}
+
+/// `foxglove.FrameTransform`.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct FrameTransform {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<prost_types::Timestamp>,
+    #[prost(string, tag = "2")]
+    pub(super) parent_frame_id: String,
+    #[prost(string, tag = "3")]
+    pub(super) child_frame_id: String,
+    #[prost(message, optional, tag = "4")]
+    pub(super) translation: Option<Vector3>,
+    #[prost(message, optional, tag = "5")]
+    pub(super) rotation: Option<Quaternion>,
+}
+
+/// `foxglove.FrameTransforms`.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct FrameTransforms {
+    #[prost(message, repeated, tag = "1")]
+    pub(super) transforms: Vec<FrameTransform>,
+}
+
+/// `foxglove.Log`.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct Log {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<prost_types::Timestamp>,
+    #[prost(enumeration = "Level", tag = "2")]
+    pub(super) level: i32,
+    #[prost(string, tag = "3")]
+    pub(super) message: String,
+    #[prost(string, tag = "4")]
+    pub(super) name: String,
+    #[prost(double, required, tag = "1001")]
+    pub(super) simulation_time: f64,
+}
+
+/// How serious a line of the log is (`foxglove.Log.Level`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, prost::Enumeration)]
+#[repr(i32)]
+pub enum Level {
+    /// Not said.
+    Unknown = 0,
+    /// For whoever writes the program.
+    Debug = 1,
+    /// Progress.
+    Info = 2,
+    /// The run goes on, but look at this.
+    Warning = 3,
+    /// Something failed.
+    Error = 4,
+    /// The run ends here.
+    Fatal = 5,
+}
+
+/// `whirls.Scene`: the scene that was run, as TOML, so that a recording can be run again.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct Scene {
+    #[prost(string, tag = "1")]
+    pub(super) toml: String,
+}
+
+/// `whirls.TrainStep`: one iteration of learning (topic `/train/step`).
+///
+/// Every list is empty or has one entry per learned parameter, in the order of
+/// [`RunInfo::parameters`](super::RunInfo::parameters).
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TrainStep {
+    /// Which iteration, from 0.
+    #[prost(uint64, tag = "1")]
+    pub iteration: u64,
+    /// The whole loss.
+    #[prost(double, required, tag = "2")]
+    pub loss: f64,
+    /// Its part from trajectories.
+    #[prost(double, required, tag = "3")]
+    pub loss_trajectory: f64,
+    /// Its part from fields.
+    #[prost(double, required, tag = "4")]
+    pub loss_field: f64,
+    /// log₁₀ of the loss (viewers have no logarithmic axis).
+    #[prost(double, required, tag = "5")]
+    pub log10_loss: f64,
+    /// Euclidean norm of the gradient.
+    #[prost(double, required, tag = "6")]
+    pub gradient_norm: f64,
+    /// The optimiser's scale of a step: a learning rate, or the damping of a Gauss–Newton step.
+    #[prost(double, required, tag = "7")]
+    pub learning_rate_or_damping: f64,
+    /// How many frames of the truth were compared with.
+    #[prost(uint64, tag = "8")]
+    pub window: u64,
+    /// The parameters at which loss and gradient were taken.
+    #[prost(double, repeated, tag = "9")]
+    pub parameters: Vec<f64>,
+    /// Derivative of the loss by each parameter.
+    #[prost(double, repeated, tag = "10")]
+    pub gradients: Vec<f64>,
+    /// The true parameters; empty when they are not known.
+    #[prost(double, repeated, tag = "11")]
+    pub truth: Vec<f64>,
+    /// log₁₀ of each parameter's relative error; empty when the truth is not known.
+    #[prost(double, repeated, tag = "12")]
+    pub log10_error: Vec<f64>,
+}
+
+impl TrainStep {
+    /// The smallest logarithm of an error that [`with_logarithms`](Self::with_logarithms) gives: below
+    /// it an `f64` has no digits left, and a plot of −∞ would be empty. A loss is a sum of squares and
+    /// may go down to twice that.
+    pub const LOG10_FLOOR: f64 = -17.0;
+
+    /// The same step with `log10_loss` and `log10_error` filled in from the loss, the parameters and
+    /// the truth: `log₁₀ |θ − θ*| / |θ*|`, or `log₁₀ |θ|` where the truth is zero.
+    #[must_use]
+    pub fn with_logarithms(mut self) -> Self {
+        self.log10_loss = log10(self.loss, 2.0 * Self::LOG10_FLOOR);
+        let error = |(found, truth): (&f64, &f64)| {
+            let scale = if truth.abs() > 0.0 { *truth } else { 1.0 };
+            log10((found - truth) / scale, Self::LOG10_FLOOR)
+        };
+        self.log10_error = self.parameters.iter().zip(&self.truth).map(error).collect();
+        self
+    }
+}
+
+/// log₁₀ of a magnitude, not below a floor; what is not a number stays so.
+pub(super) fn log10(value: f64, floor: f64) -> f64 {
+    if value.is_nan() {
+        value
+    } else {
+        value.abs().log10().max(floor)
+    }
+}
+
+/// `whirls.Conservation`: what a flow should keep, at one step (topic `/diag/conservation`).
+///
+/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one per
+/// system that accelerates them: round-off if that system conserves momentum.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Conservation {
+    /// Which step, from 0.
+    #[prost(uint64, tag = "1")]
+    pub step: u64,
+    /// Simulation time.
+    #[prost(double, required, tag = "2")]
+    pub time: f64,
+    /// `Σ m |v|² / 2`.
+    #[prost(double, required, tag = "3")]
+    pub kinetic_energy: f64,
+    /// Kinetic and internal energy, `Σ m (|v|²/2 + e(ρ))`.
+    #[prost(double, required, tag = "4")]
+    pub total_energy: f64,
+    /// Largest speed over the speed of sound.
+    #[prost(double, required, tag = "5")]
+    pub max_mach: f64,
+    /// Largest `|ρ/ρ₀ − 1|`.
+    #[prost(double, required, tag = "6")]
+    pub max_density_deviation: f64,
+    /// Linear momentum `Σ m v`.
+    #[prost(double, repeated, tag = "7")]
+    pub momentum: Vec<f64>,
+    /// `Σ m a` of the pressure.
+    #[prost(double, repeated, tag = "8")]
+    pub momentum_pressure: Vec<f64>,
+    /// `Σ m a` of the viscosity.
+    #[prost(double, repeated, tag = "9")]
+    pub momentum_viscosity: Vec<f64>,
+    /// `Σ m a` of the forcing.
+    #[prost(double, repeated, tag = "10")]
+    pub momentum_forcing: Vec<f64>,
+    /// Courant number `dt (c + max |v|) / h`.
+    #[prost(double, required, tag = "11")]
+    pub courant: f64,
+}

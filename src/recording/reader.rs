@@ -1,0 +1,249 @@
+//! [`Recording`]: what a run has recorded, read back bit for bit.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use prost::Message;
+
+use super::messages::{Conservation, Level, Log, Scene, TrainStep};
+use super::schemas::Schema;
+use super::source::Source;
+use super::{Cloud, DAMAGED, Flow, Frame, RunInfo, clock, topic};
+use crate::{Error, Result};
+
+/// A recording, opened for reading.
+///
+/// Opening reads the lengths of the chunks and the small ones that name the channels; frames are read
+/// from the file when they are asked for.
+#[derive(Debug)]
+pub struct Recording {
+    place: String,
+    source: Source,
+    run: RunInfo,
+}
+
+/// A line of the log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogLine {
+    /// Simulation time.
+    pub time: f64,
+    /// How serious it is.
+    pub level: Level,
+    /// What it says.
+    pub text: String,
+}
+
+/// Where one message is: in which chunk, and which of its channel's messages there.
+struct Address {
+    chunk: usize,
+    channel: u16,
+    ordinal: usize,
+    log_time: u64,
+}
+
+impl Recording {
+    /// Opens a recording, also of a run that was killed: then what is there can be read, and
+    /// [`is_truncated`](Self::is_truncated) says so.
+    ///
+    /// # Errors
+    /// [`Error::File`] if the file cannot be read, [`Error::Input`] if it is not an MCAP file, was
+    /// not written by whirls, or is damaged.
+    pub fn open(path: &Path) -> Result<Self> {
+        let place = path.display().to_string();
+        let mut source = Source::open(path)?;
+        source.complete()?;
+        let Some(record) = source.record.take() else {
+            return Err(no_metadata(&place));
+        };
+        let toml = scene(&source, &place)?;
+        let run = RunInfo::from_record(record, toml, &place)?;
+        Ok(Self { place, source, run })
+    }
+
+    /// What is known of the run as a whole.
+    pub fn run(&self) -> &RunInfo {
+        &self.run
+    }
+
+    /// Whether the file ends before its end: the run was killed, or the file cut.
+    pub fn is_truncated(&self) -> bool {
+        self.source.truncated
+    }
+
+    /// How many messages each topic has; topics without any are left out.
+    pub fn counts(&self) -> BTreeMap<String, u64> {
+        let mut counts = BTreeMap::new();
+        for (channel, times) in self.source.chunks.iter().flat_map(|chunk| &chunk.times) {
+            if let Some(channel) = self.source.channels.get(channel) {
+                *counts.entry(channel.topic.clone()).or_insert(0) += times.len() as u64;
+            }
+        }
+        counts
+    }
+
+    /// The topics that carry particles, the two flows included.
+    pub fn cloud_topics(&self) -> Vec<String> {
+        let is_cloud = |topic: &str| {
+            let mut channels = self.source.channels.values();
+            channels
+                .find(|channel| channel.topic == topic)
+                .is_some_and(|channel| {
+                    let schema = self.source.schemas.get(&channel.schema);
+                    schema.is_some_and(|schema| schema.name == Schema::PointCloud.name())
+                })
+        };
+        self.counts()
+            .into_keys()
+            .filter(|topic| is_cloud(topic))
+            .collect()
+    }
+
+    /// How many frames a flow has.
+    pub fn frame_count(&self, flow: Flow) -> usize {
+        self.addresses(flow.topic()).len()
+    }
+
+    /// Simulation times of a flow's frames, to the nanosecond; [`Frame::time`] is exact.
+    pub fn frame_times(&self, flow: Flow) -> Vec<f64> {
+        self.cloud_times(flow.topic())
+    }
+
+    /// Frame `k` of a flow, in the order of writing.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if there is no such frame or its chunk is damaged.
+    pub fn frame(&self, flow: Flow, k: usize) -> Result<Frame> {
+        let cloud = self.cloud(flow.topic(), k)?;
+        Frame::from_cloud(cloud, &format!("{}, {}", self.place, flow.topic()))
+    }
+
+    /// Simulation times of a topic's clouds, to the nanosecond; [`Cloud::time`] is exact.
+    pub fn cloud_times(&self, topic: &str) -> Vec<f64> {
+        let addresses = self.addresses(topic);
+        addresses
+            .iter()
+            .map(|address| clock::seconds(address.log_time))
+            .collect()
+    }
+
+    /// Cloud `k` of a topic, in the order of writing.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if there is no such cloud or its chunk is damaged.
+    pub fn cloud(&self, topic: &str, k: usize) -> Result<Cloud> {
+        let addresses = self.addresses(topic);
+        let place = format!("{}, {topic}, message {k}", self.place);
+        let Some(address) = addresses.get(k) else {
+            let expected = format!("one of {} messages, counted from 0", addresses.len());
+            let remedy = "ask for one that was recorded";
+            return Err(Error::input(
+                place,
+                expected,
+                format!("message {k}"),
+                remedy,
+            ));
+        };
+        let (mut met, mut found) = (0, None);
+        self.source.messages(
+            &self.source.chunks[address.chunk],
+            address.channel,
+            |data| {
+                if met == address.ordinal {
+                    found = Some(Cloud::decode(data, &place));
+                }
+                met += 1;
+            },
+        )?;
+        found.unwrap_or_else(|| Err(Error::input(&place, "a message", "none", DAMAGED)))
+    }
+
+    /// All iterations of learning.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if one is damaged.
+    pub fn train_steps(&self) -> Result<Vec<TrainStep>> {
+        decode_all(&self.source, topic::TRAIN_STEP, &self.place)
+    }
+
+    /// All records of what the flow should keep.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if one is damaged.
+    pub fn conservation(&self) -> Result<Vec<Conservation>> {
+        decode_all(&self.source, topic::CONSERVATION, &self.place)
+    }
+
+    /// The log.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if a line is damaged.
+    pub fn logs(&self) -> Result<Vec<LogLine>> {
+        let lines = decode_all::<Log>(&self.source, topic::LOG, &self.place)?;
+        let line = |log: Log| LogLine {
+            time: log.simulation_time,
+            level: log.level(),
+            text: log.message,
+        };
+        Ok(lines.into_iter().map(line).collect())
+    }
+
+    fn addresses(&self, topic: &str) -> Vec<Address> {
+        let mut found = Vec::new();
+        for (chunk, entry) in self.source.chunks.iter().enumerate() {
+            for (&channel, times) in &entry.times {
+                if self
+                    .source
+                    .channels
+                    .get(&channel)
+                    .is_some_and(|known| known.topic == topic)
+                {
+                    let address = |(ordinal, &log_time)| Address {
+                        chunk,
+                        channel,
+                        ordinal,
+                        log_time,
+                    };
+                    found.extend(times.iter().enumerate().map(address));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// The scene's text; empty if the file was cut before it.
+fn scene(source: &Source, place: &str) -> Result<String> {
+    let scenes = decode_all::<Scene>(source, topic::SCENE, place)?;
+    Ok(scenes
+        .into_iter()
+        .next()
+        .map(|scene| scene.toml)
+        .unwrap_or_default())
+}
+
+pub(super) fn no_metadata(place: &str) -> Error {
+    Error::input(
+        place,
+        "a recording of whirls, with metadata whirls.run",
+        "an MCAP file without it",
+        "give a file that `train` or `simulate` recorded",
+    )
+}
+
+/// All messages of a topic, in the order of writing.
+fn decode_all<M: Message + Default>(source: &Source, topic: &str, place: &str) -> Result<Vec<M>> {
+    let mut decoded = Vec::new();
+    for chunk in &source.chunks {
+        for &channel in chunk.times.keys() {
+            if source
+                .channels
+                .get(&channel)
+                .is_some_and(|known| known.topic == topic)
+            {
+                source.messages(chunk, channel, |data| decoded.push(M::decode(data)))?;
+            }
+        }
+    }
+    let decoded: std::result::Result<_, _> = decoded.into_iter().collect();
+    decoded.map_err(|error| Error::input(format!("{place}, {topic}"), "a message", error, DAMAGED))
+}

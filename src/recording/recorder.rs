@@ -1,0 +1,314 @@
+//! [`Recorder`]: the writer of a recording, on a thread of its own.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use prost::Message as _;
+
+use super::messages::{Conservation, Level, Log, TrainStep};
+use super::schemas::Schema;
+use super::sink::{Entry, Sink};
+use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
+use crate::{Error, Result};
+
+/// How many messages may wait for the disk before the run waits for it.
+const QUEUE: usize = 8;
+
+/// The largest cloud, in bytes: readers refuse a larger chunk.
+const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
+
+/// Writes one run into one MCAP file.
+///
+/// Packing, colouring, compressing and writing happen on a thread of their own behind a queue of eight
+/// messages: when the disk cannot keep up the run waits, and no message is lost. A failure to
+/// write is returned by the next call, or by [`finish`](Self::finish). Dropping the recorder (also
+/// while a panic unwinds) completes the file; of a killed run everything up to the last chunk can
+/// be read, and [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give equal bytes.
+///
+/// ```no_run
+/// use whirls::recording::{Flow, Frame, Recorder, RunInfo};
+/// # fn main() -> whirls::Result<()> {
+/// let run = RunInfo {
+///     scene_toml: "name = \"two particles\"".into(),
+///     dimension: 2,
+///     box_length: 1.0,
+///     speed_scale: 1.0,
+///     parameters: vec![],
+///     metadata: Default::default(),
+/// };
+/// let mut recorder = Recorder::create("two.mcap".as_ref(), &run)?;
+/// let (positions, velocities) = ([[0.1, 0.2], [0.3, 0.4]], [[1.0, 0.0], [0.0, -1.0]]);
+/// recorder.frame(Flow::Truth, Frame::new(0, 0.0, positions, velocities, vec![1.0; 2]))?;
+/// println!("{} bytes", recorder.finish()?.bytes);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Recorder {
+    path: PathBuf,
+    dimension: usize,
+    speed_scale: f64,
+    queue: Option<SyncSender<Order>>,
+    thread: Option<JoinHandle<Result<Summary>>>,
+}
+
+/// What the writing thread is told to do.
+enum Order {
+    Cloud {
+        topic: String,
+        cloud: Cloud,
+        shade: Shade,
+    },
+    TrainStep(TrainStep),
+    Conservation(Conservation),
+    Log(Log),
+    Checkpoint(SyncSender<()>),
+}
+
+/// How a cloud is coloured.
+enum Shade {
+    /// By speed (columns 0 to 2) over this scale.
+    Speed(f64),
+    /// By these fractions of the colour scale.
+    Fractions(Vec<f64>),
+}
+
+impl Recorder {
+    /// Creates the file, and the folders it lies in, and begins it with what is known of the run.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if `run` is impossible, [`Error::File`] if the file cannot be created.
+    pub fn create(path: &Path, run: &RunInfo) -> Result<Self> {
+        let mut sink = Sink::create(path, run.to_record()?, &run.scene_toml)?;
+        sink.begin(&run.scene_toml)?;
+        let (queue, orders) = sync_channel(QUEUE);
+        let thread = std::thread::Builder::new()
+            .name("recorder".into())
+            .spawn(move || obey(sink, &orders))
+            .map_err(|error| Error::write(path, error))?;
+        Ok(Self {
+            path: path.to_owned(),
+            dimension: run.dimension,
+            speed_scale: run.speed_scale,
+            queue: Some(queue),
+            thread: Some(thread),
+        })
+    }
+
+    /// Records the particles of a flow, coloured by speed.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the columns differ in length or a two-dimensional frame has a third
+    /// coordinate; [`Error::File`] if writing has failed.
+    pub fn frame(&mut self, flow: Flow, frame: Frame) -> Result<()> {
+        if frame.velocities.len() != frame.positions.len() {
+            return Err(Error::input(
+                format!("{}, step {}", flow.topic(), frame.step),
+                format!("{} velocities, one per position", frame.positions.len()),
+                frame.velocities.len(),
+                "give every particle a velocity",
+            ));
+        }
+        let shade = Shade::Speed(self.speed_scale);
+        self.order_cloud(flow.topic(), frame.into_cloud(), shade)
+    }
+
+    /// Records particles with any columns on a topic of their own, such as
+    /// `/learned/sensitivity/alpha`; `shade[k]` is particle `k`'s fraction of the colour scale, 0 to 1.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if lengths or names do not fit, or the topic is used for something else;
+    /// [`Error::File`] if writing has failed.
+    pub fn cloud(&mut self, topic: &str, cloud: Cloud, shade: Vec<f64>) -> Result<()> {
+        if !topic.starts_with('/') || topic::is_reserved(topic) {
+            return Err(Error::input(
+                format!("topic {topic:?}"),
+                "a topic that starts with `/` and has no meaning yet",
+                topic,
+                "choose another name, such as /learned/sensitivity/alpha",
+            ));
+        }
+        if shade.len() != cloud.positions.len() {
+            return Err(Error::input(
+                topic,
+                format!("{} shades, one per position", cloud.positions.len()),
+                shade.len(),
+                "give every particle a shade",
+            ));
+        }
+        self.order_cloud(topic, cloud, Shade::Fractions(shade))
+    }
+
+    /// Records one iteration of learning.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed.
+    pub fn train_step(&mut self, step: TrainStep) -> Result<()> {
+        self.order(Order::TrainStep(step))
+    }
+
+    /// Records what the flow should keep.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed.
+    pub fn conservation(&mut self, conservation: Conservation) -> Result<()> {
+        self.order(Order::Conservation(conservation))
+    }
+
+    /// Records a line of text at a simulation time.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed.
+    pub fn log(&mut self, level: Level, time: f64, text: impl Into<String>) -> Result<()> {
+        self.order(Order::Log(Log {
+            timestamp: Some(clock::timestamp(time)),
+            level: level.into(),
+            message: text.into(),
+            name: "whirls".into(),
+            simulation_time: time,
+        }))
+    }
+
+    /// Ends the chunk and returns when the operating system has it: what was recorded until now
+    /// survives a kill.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed.
+    pub fn checkpoint(&mut self) -> Result<()> {
+        let (done, wait) = sync_channel(1);
+        self.order(Order::Checkpoint(done))?;
+        wait.recv().map_err(|_| self.failure())
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed, now or earlier.
+    pub fn finish(mut self) -> Result<Summary> {
+        self.close()
+    }
+
+    fn order_cloud(&mut self, topic: &str, cloud: Cloud, shade: Shade) -> Result<()> {
+        cloud.check(topic, self.dimension)?;
+        let bytes = (cloud.columns.len() + 4).saturating_mul(8 * cloud.positions.len());
+        if bytes > LARGEST_CLOUD {
+            return Err(Error::input(
+                topic,
+                format!("at most {LARGEST_CLOUD} bytes in a cloud"),
+                bytes,
+                "record fewer particles or columns",
+            ));
+        }
+        self.order(Order::Cloud {
+            topic: topic.into(),
+            cloud,
+            shade,
+        })
+    }
+
+    fn order(&mut self, order: Order) -> Result<()> {
+        let sent = (self.queue.as_ref()).is_some_and(|queue| queue.send(order).is_ok());
+        if sent { Ok(()) } else { Err(self.failure()) }
+    }
+
+    /// Why the writing thread has stopped.
+    fn failure(&mut self) -> Error {
+        let stopped = std::io::Error::other("writing has stopped");
+        self.close()
+            .err()
+            .unwrap_or_else(|| Error::write(&self.path, stopped))
+    }
+
+    fn close(&mut self) -> Result<Summary> {
+        drop(self.queue.take());
+        let fail = |reason: &str| Err(Error::write(&self.path, std::io::Error::other(reason)));
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(result)) => result,
+            Some(Err(_)) => fail("the writing thread panicked"),
+            None => fail("writing has failed before"),
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        // A caller that wants to know of a failure calls `finish`.
+        drop(self.close());
+    }
+}
+
+/// The writing thread: obeys until the queue is closed, then completes the file.
+fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
+    for order in orders {
+        match order {
+            Order::Cloud {
+                topic,
+                cloud,
+                shade,
+            } => write_cloud(&mut sink, &topic, &cloud, shade)?,
+            Order::TrainStep(step) => {
+                let time = clock::ticks(step.iteration);
+                write(
+                    &mut sink,
+                    topic::TRAIN_STEP,
+                    (time, time),
+                    &step.encode_to_vec(),
+                )?;
+            }
+            Order::Conservation(kept) => {
+                let times = (clock::nanoseconds(kept.time), clock::ticks(kept.step));
+                write(&mut sink, topic::CONSERVATION, times, &kept.encode_to_vec())?;
+            }
+            Order::Log(log) => {
+                let count = sink.count(topic::LOG);
+                let times = (clock::nanoseconds(log.simulation_time), clock::ticks(count));
+                write(&mut sink, topic::LOG, times, &log.encode_to_vec())?;
+            }
+            Order::Checkpoint(done) => {
+                sink.flush()?;
+                // Whoever asked may have gone; the flush is done all the same.
+                let _ = done.send(());
+            }
+        }
+    }
+    sink.finish()
+}
+
+fn write(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
+    let (log_time, publish_time) = times;
+    sink.write(&Entry {
+        topic,
+        log_time,
+        publish_time,
+        data,
+        alone: false,
+    })
+}
+
+fn write_cloud(sink: &mut Sink, topic: &str, cloud: &Cloud, shade: Shade) -> Result<()> {
+    let schema = Schema::PointCloud;
+    sink.channel(topic, schema.name(), || schema.descriptors())?;
+    let data = match shade {
+        Shade::Fractions(fractions) => cloud.encode(fractions.into_iter()),
+        Shade::Speed(scale) => {
+            let speed = |k: usize| {
+                let squares = cloud
+                    .columns
+                    .iter()
+                    .take(3)
+                    .map(|axis| axis.values[k].powi(2));
+                squares.sum::<f64>().sqrt()
+            };
+            cloud.encode((0..cloud.positions.len()).map(|k| speed(k) / scale))
+        }
+    };
+    let (log_time, publish_time) = (clock::nanoseconds(cloud.time), clock::ticks(cloud.step));
+    sink.write(&Entry {
+        topic,
+        log_time,
+        publish_time,
+        data: &data,
+        alone: true,
+    })
+}

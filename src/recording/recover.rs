@@ -1,0 +1,151 @@
+//! [`recover`]: what a killed run left, as a complete file.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use prost::Message as _;
+
+use super::messages::Scene;
+use super::reader::no_metadata;
+use super::schemas::Schema;
+use super::sink::{Entry, Sink};
+use super::source::Source;
+use super::wire::{ChannelRecord, MessageRecord, SchemaRecord, opcode};
+use super::{Summary, topic};
+use crate::{Error, Result};
+
+/// What [`recover`] brought over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Recovered {
+    /// Messages in the new file.
+    pub messages: u64,
+    /// Whole chunks that were found.
+    pub chunks: u64,
+    /// Chunks whose content was damaged; they were left out.
+    pub chunks_lost: u64,
+    /// Size of the new file.
+    pub bytes: u64,
+}
+
+/// Copies every whole message of `input` into a complete file at `output`. The input is not changed;
+/// the output appears under its name only when it is complete.
+///
+/// # Errors
+/// [`Error::File`] if a file cannot be read or written; [`Error::Input`] if the input is not a
+/// recording, or input and output are the same file.
+pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
+    if std::fs::canonicalize(output).is_ok_and(|to| std::fs::canonicalize(input).ok() == Some(to)) {
+        return Err(Error::input(
+            output.display(),
+            "an output other than the input",
+            "the same file",
+            "name another file",
+        ));
+    }
+    let mut source = Source::open(input)?;
+    let place = input.display().to_string();
+    let record = source.record.take().ok_or_else(|| no_metadata(&place))?;
+    let mut copy = Copy::default();
+    let scene = copy.scene(&source);
+    let unfinished = unfinished_name(output);
+    let mut sink = Sink::create(&unfinished, record, &scene)?;
+    sink.begin(&scene)?;
+    copy.chunks(&source, &mut sink)?;
+    let Summary { messages, bytes } = sink.finish()?;
+    std::fs::rename(&unfinished, output).map_err(|error| Error::write(output, error))?;
+    Ok(Recovered {
+        messages,
+        chunks: source.chunks.len() as u64,
+        chunks_lost: copy.lost,
+        bytes,
+    })
+}
+
+/// The name of the output while it is written.
+fn unfinished_name(output: &Path) -> PathBuf {
+    let mut name = output.as_os_str().to_owned();
+    name.push(".unfinished");
+    name.into()
+}
+
+/// What has been met on the way through the input.
+#[derive(Default)]
+struct Copy {
+    channels: BTreeMap<u16, ChannelRecord>,
+    schemas: BTreeMap<u16, SchemaRecord>,
+    lost: u64,
+}
+
+impl Copy {
+    /// The scene's text; empty if it did not reach the disk. It stands in one of the first chunks.
+    fn scene(&mut self, source: &Source) -> String {
+        for chunk in source.chunks.iter().take(2) {
+            let mut found = None;
+            let read = source.records(chunk, |code, body| {
+                if let Some((topic::SCENE, _, message)) = self.meet(code, body)? {
+                    found = Scene::decode(message.data).ok();
+                }
+                Some(())
+            });
+            if let (Ok(()), Some(scene)) = (read, found) {
+                return scene.toml;
+            }
+        }
+        String::new()
+    }
+
+    /// Copies all messages but those with which every recording begins.
+    fn chunks(&mut self, source: &Source, sink: &mut Sink) -> Result<()> {
+        for chunk in &source.chunks {
+            let mut written = Ok(());
+            let read = source.records(chunk, |code, body| {
+                if let (Some(message), Ok(())) = (self.meet(code, body)?, &written) {
+                    written = write(sink, message);
+                }
+                Some(())
+            });
+            written?;
+            match read {
+                Err(Error::Input { .. }) => self.lost += 1,
+                other => other?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps schemas and channels; gives back a message with its topic and schema. `None` is a
+    /// malformed record.
+    fn meet<'a>(
+        &'a mut self,
+        code: u8,
+        body: &'a [u8],
+    ) -> Option<Option<(&'a str, &'a SchemaRecord, MessageRecord<'a>)>> {
+        match code {
+            opcode::SCHEMA => self.schemas.extend([SchemaRecord::parse(body)?]),
+            opcode::CHANNEL => self.channels.extend([ChannelRecord::parse(body)?]),
+            opcode::MESSAGE => {
+                let message = MessageRecord::parse(body)?;
+                let channel = self.channels.get(&message.channel)?;
+                let schema = self.schemas.get(&channel.schema)?;
+                return Some(Some((&channel.topic, schema, message)));
+            }
+            _ => {}
+        }
+        Some(None)
+    }
+}
+
+fn write(sink: &mut Sink, found: (&str, &SchemaRecord, MessageRecord<'_>)) -> Result<()> {
+    let (topic, schema, message) = found;
+    if matches!(topic, topic::SCENE | topic::TRANSFORM) {
+        return Ok(());
+    }
+    sink.channel(topic, &schema.name, || schema.data.clone())?;
+    sink.write(&Entry {
+        topic,
+        log_time: message.log_time,
+        publish_time: message.publish_time,
+        data: message.data,
+        alone: schema.name == Schema::PointCloud.name(),
+    })
+}

@@ -1,0 +1,355 @@
+//! One MCAP file being read: which chunks it has, what is in them, and where it ends.
+//!
+//! The file is walked from record to record and chunks are skipped, so a complete and a cut file are
+//! read in the same way, and the summary at the end (absent in a cut file) is not needed. The walk
+//! costs three small reads per chunk.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::wire::{
+    Bytes, ChannelRecord, ChunkHead, HEAD, MAGIC, MessageRecord, SchemaRecord, message_index,
+    opcode,
+};
+use super::{DAMAGED, RUN};
+use crate::{Error, Result};
+
+/// No chunk is unpacked to more bytes than this.
+pub(super) const LARGEST_CHUNK: usize = 1 << 30;
+
+/// A chunk may claim this many bytes, and `EXPANSION` more per byte that it has in the file.
+const FREE_BYTES: usize = 1 << 20;
+const EXPANSION: usize = 1024;
+
+/// Where a chunk record is, and the log times of each channel's messages in it.
+#[derive(Clone, Debug)]
+pub(super) struct Chunk {
+    offset: u64,
+    length: u64,
+    pub(super) times: BTreeMap<u16, Vec<u64>>,
+}
+
+/// An MCAP file being read.
+#[derive(Debug)]
+pub(super) struct Source {
+    path: PathBuf,
+    file: Mutex<File>,
+    pub(super) chunks: Vec<Chunk>,
+    pub(super) channels: BTreeMap<u16, ChannelRecord>,
+    pub(super) schemas: BTreeMap<u16, SchemaRecord>,
+    pub(super) record: Option<BTreeMap<String, String>>,
+    pub(super) truncated: bool,
+}
+
+impl Source {
+    /// Walks the file.
+    ///
+    /// # Errors
+    /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file.
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let failed = |error| Error::read(path, error);
+        let mut file = File::open(path).map_err(failed)?;
+        let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
+        file.rewind().map_err(failed)?;
+        let mut walk = Walk {
+            file: BufReader::new(file),
+            path,
+            at: 0,
+            length,
+        };
+        walk.begin()?;
+        let mut source = Self {
+            path: path.to_owned(),
+            file: Mutex::new(File::open(path).map_err(failed)?),
+            chunks: Vec::new(),
+            channels: BTreeMap::new(),
+            schemas: BTreeMap::new(),
+            record: None,
+            truncated: true,
+        };
+        while let Some((code, length)) = walk.head()? {
+            if code == opcode::FOOTER {
+                walk.skip(length)?;
+                source.truncated = walk.body(MAGIC.len() as u64)?.as_deref() != Some(&MAGIC);
+                break;
+            }
+            source.note(code, length, &mut walk)?;
+        }
+        Ok(source)
+    }
+
+    /// Takes one record of the file into account.
+    fn note(&mut self, code: u8, length: u64, walk: &mut Walk<'_>) -> Result<()> {
+        match code {
+            opcode::CHUNK => {
+                let times = BTreeMap::new();
+                self.chunks.push(Chunk {
+                    offset: walk.at,
+                    length,
+                    times,
+                });
+                walk.skip(length)
+            }
+            opcode::MESSAGE => Err(Error::input(
+                format!("{}, byte {}", self.path.display(), walk.at),
+                "messages in chunks",
+                "a message outside any chunk",
+                "give a recording as whirls wrote it",
+            )),
+            opcode::MESSAGE_INDEX | opcode::METADATA | opcode::SCHEMA | opcode::CHANNEL => {
+                let place = walk.at;
+                let body = walk.body(length)?.unwrap_or_default();
+                self.read_record(code, &body)
+                    .ok_or_else(|| self.malformed(place))
+            }
+            _ => walk.skip(length),
+        }
+    }
+
+    fn read_record(&mut self, code: u8, body: &[u8]) -> Option<()> {
+        match code {
+            opcode::MESSAGE_INDEX => {
+                let (channel, times) = message_index(body)?;
+                // An index before any chunk belongs to nothing and is passed over.
+                if let Some(chunk) = self.chunks.last_mut() {
+                    chunk.times.entry(channel).or_default().extend(times);
+                }
+            }
+            opcode::METADATA => {
+                let mut bytes = Bytes(body);
+                let (name, record) = (bytes.text()?, bytes.texts()?);
+                if name == RUN {
+                    self.record.get_or_insert(record);
+                }
+            }
+            opcode::SCHEMA => self.schemas.extend([SchemaRecord::parse(body)?]),
+            opcode::CHANNEL => self.channels.extend([ChannelRecord::parse(body)?]),
+            _ => {}
+        }
+        Some(())
+    }
+
+    /// Looks into the chunks whose content the walk could not tell: those with channels not met
+    /// before, those without index, and the last one of a cut file.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if such a chunk is damaged.
+    pub(super) fn complete(&mut self) -> Result<()> {
+        for k in 0..self.chunks.len() {
+            let last = self.truncated && k + 1 == self.chunks.len();
+            if last || self.chunks[k].times.is_empty() || !self.knows(k) {
+                self.look_into(k)?;
+            }
+        }
+        if (0..self.chunks.len()).all(|k| self.knows(k)) {
+            return Ok(());
+        }
+        (0..self.chunks.len()).try_for_each(|k| self.look_into(k))
+    }
+
+    /// Whether all channels with messages in a chunk have been met.
+    fn knows(&self, k: usize) -> bool {
+        self.chunks[k]
+            .times
+            .keys()
+            .all(|channel| self.channels.contains_key(channel))
+    }
+
+    /// Reads channels, schemas and message times of a chunk from its records.
+    pub(super) fn look_into(&mut self, k: usize) -> Result<()> {
+        let mut found = BTreeMap::<u16, Vec<u64>>::new();
+        let (mut schemas, mut channels) = (Vec::new(), Vec::new());
+        self.records(&self.chunks[k], |code, body| {
+            match code {
+                opcode::SCHEMA => schemas.push(SchemaRecord::parse(body)?),
+                opcode::CHANNEL => channels.push(ChannelRecord::parse(body)?),
+                opcode::MESSAGE => {
+                    let message = MessageRecord::parse(body)?;
+                    found
+                        .entry(message.channel)
+                        .or_default()
+                        .push(message.log_time);
+                }
+                _ => {}
+            }
+            Some(())
+        })?;
+        self.schemas.extend(schemas);
+        self.channels.extend(channels);
+        self.chunks[k].times = found;
+        Ok(())
+    }
+
+    /// Calls `each` with the data of every message of a channel in a chunk.
+    pub(super) fn messages(
+        &self,
+        chunk: &Chunk,
+        channel: u16,
+        mut each: impl FnMut(&[u8]),
+    ) -> Result<()> {
+        self.records(chunk, |code, body| {
+            if code == opcode::MESSAGE {
+                let message = MessageRecord::parse(body)?;
+                if message.channel == channel {
+                    each(message.data);
+                }
+            }
+            Some(())
+        })
+    }
+
+    /// Calls `each` with opcode and body of every record in a chunk, after its checksum was found
+    /// right; `None` from `each` means a malformed record.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the chunk is damaged, [`Error::File`] if it cannot be read.
+    pub(super) fn records(
+        &self,
+        chunk: &Chunk,
+        mut each: impl FnMut(u8, &[u8]) -> Option<()>,
+    ) -> Result<()> {
+        let bytes = self.load(chunk)?;
+        let body = bytes.get(HEAD..).unwrap_or_default();
+        let head = ChunkHead::parse(body).ok_or_else(|| self.malformed(chunk.offset))?;
+        let claimed = self.plausible_size(&head, chunk.offset, body.len())?;
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(claimed.max(bytes.len()));
+        let mut reader = LinearReader::new_with_options(options);
+        let mut rest = Bytes(&bytes);
+        while let Some(event) = reader.next_event() {
+            match event.map_err(|error| self.damaged(chunk.offset, error))? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let part = rest.take(wanted.min(rest.0.len())).unwrap_or_default();
+                    reader.insert(part.len()).copy_from_slice(part);
+                    reader.notify_read(part.len());
+                }
+                LinearReadEvent::Record { opcode, data } => {
+                    each(opcode, data).ok_or_else(|| self.malformed(chunk.offset))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The bytes that a chunk claims to unpack to, if that can be true of so many bytes in the file.
+    fn plausible_size(&self, head: &ChunkHead<'_>, at: u64, bytes: usize) -> Result<usize> {
+        let allowed = EXPANSION
+            .saturating_mul(bytes)
+            .saturating_add(FREE_BYTES)
+            .min(LARGEST_CHUNK);
+        let claimed = usize::try_from(head.uncompressed_bytes).unwrap_or(usize::MAX);
+        if claimed > allowed {
+            let expected = format!("a chunk of at most {allowed} bytes");
+            return Err(Error::input(self.place(at), expected, claimed, DAMAGED));
+        }
+        if head.compression.is_empty() && !head.is_framed() {
+            return Err(self.malformed(at));
+        }
+        Ok(claimed)
+    }
+
+    /// The whole chunk record, its head included.
+    fn load(&self, chunk: &Chunk) -> Result<Vec<u8>> {
+        let failed = |error| Error::read(&self.path, error);
+        let wanted = HEAD as u64 + chunk.length;
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        file.seek(SeekFrom::Start(chunk.offset - HEAD as u64))
+            .map_err(failed)?;
+        let mut bytes = Vec::new();
+        file.by_ref()
+            .take(wanted)
+            .read_to_end(&mut bytes)
+            .map_err(failed)?;
+        if bytes.len() as u64 == wanted {
+            Ok(bytes)
+        } else {
+            Err(self.malformed(chunk.offset))
+        }
+    }
+
+    fn place(&self, at: u64) -> String {
+        format!("{}, byte {at}", self.path.display())
+    }
+
+    fn malformed(&self, at: u64) -> Error {
+        Error::input(
+            self.place(at),
+            "a record of MCAP",
+            "lengths that contradict",
+            DAMAGED,
+        )
+    }
+
+    fn damaged(&self, at: u64, error: mcap::McapError) -> Error {
+        Error::input(self.place(at), "a whole chunk", error, DAMAGED)
+    }
+}
+
+/// A position in the file between two records.
+struct Walk<'a> {
+    file: BufReader<File>,
+    path: &'a Path,
+    at: u64,
+    length: u64,
+}
+
+impl Walk<'_> {
+    fn begin(&mut self) -> Result<()> {
+        let found = self.body(MAGIC.len() as u64)?;
+        if found.as_deref() == Some(&MAGIC) {
+            return Ok(());
+        }
+        let found = found.map_or("a file of less than 8 bytes".into(), |bytes| {
+            format!("{bytes:02x?}")
+        });
+        let expected = format!("an MCAP file, beginning with {MAGIC:02x?}");
+        let remedy = "give a file that `train` or `simulate` recorded";
+        Err(Error::input(self.path.display(), expected, found, remedy))
+    }
+
+    /// Opcode and length of the next record; `None` where the file ends before the record does.
+    fn head(&mut self) -> Result<Option<(u8, u64)>> {
+        let Some(head) = self.body(HEAD as u64)? else {
+            return Ok(None);
+        };
+        let mut bytes = Bytes(&head);
+        let opcode = bytes.take(1).and_then(|byte| byte.first().copied());
+        let head = opcode.zip(bytes.u64());
+        Ok(head.filter(|(_, length)| *length <= self.length - self.at))
+    }
+
+    /// The next bytes; `None` if the file has less.
+    fn body(&mut self, count: u64) -> Result<Option<Vec<u8>>> {
+        if count > self.length - self.at {
+            return Ok(None);
+        }
+        let mut bytes = Vec::new();
+        let mut part = self.file.by_ref().take(count);
+        part.read_to_end(&mut bytes)
+            .map_err(|error| Error::read(self.path, error))?;
+        self.at += bytes.len() as u64;
+        Ok((bytes.len() as u64 == count).then_some(bytes))
+    }
+
+    fn skip(&mut self, count: u64) -> Result<()> {
+        self.at += count;
+        let buffered = self.file.buffer().len() as u64;
+        let failed = |error| Error::read(self.path, error);
+        if count <= buffered {
+            self.file.consume(count as usize);
+            return Ok(());
+        }
+        self.file
+            .seek(SeekFrom::Start(self.at))
+            .map(drop)
+            .map_err(failed)
+    }
+}
