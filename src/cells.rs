@@ -65,31 +65,82 @@ impl<const D: usize> Cells<D> {
         coordinates.iter().rev().fold(0, |index, &c| index * self.per_axis + c)
     }
 
-    /// Calls `visit` with the slots of every cell that touches the cell at `coordinates`, itself
-    /// included, each cell once even where the box is only one or two cells wide.
+    /// Ranges of slots that together hold every cell that touches the cell at `coordinates`, itself
+    /// included, each cell once even where the box is one or two cells wide. Cells side by side along
+    /// the first axis come as one range.
     #[inline(always)]
-    pub fn around(&self, coordinates: [usize; D], mut visit: impl FnMut(std::ops::Range<usize>)) {
+    pub fn around(&self, coordinates: [usize; D]) -> Around {
         let n = self.per_axis;
         let offsets: &[usize] = match n {
             1 => &[0],
             2 => &[0, 1],
             _ => &[0, 1, n - 1],
         };
+        let mut around = Around { ranges: [(0, 0); MOST_RANGES], count: 0 };
         let mut choice = [0; D];
         loop {
-            let cell: [usize; D] =
-                std::array::from_fn(|axis| (coordinates[axis] + offsets[choice[axis]]) % n);
-            let index = self.index(cell);
-            visit(self.start[index] as usize..self.start[index + 1] as usize);
-            // Count up in base `offsets.len()`.
-            let Some(axis) = choice.iter().position(|&c| c + 1 < offsets.len()) else { break };
+            let mut cell = [0; D];
+            for axis in 1..D {
+                let along = coordinates[axis] + offsets[choice[axis]];
+                cell[axis] = if along < n { along } else { along - n };
+            }
+            self.along_row(self.index(cell), coordinates[0], &mut around);
+            // Count up in base `offsets.len()`, the first axis left out.
+            let mut axis = 1;
+            while axis < D && choice[axis] + 1 == offsets.len() {
+                choice[axis] = 0;
+                axis += 1;
+            }
+            if axis == D {
+                return around;
+            }
             choice[axis] += 1;
-            choice[..axis].fill(0);
+        }
+    }
+
+    /// The cells next to number `x` in the row of cells that starts at `row`.
+    #[inline(always)]
+    fn along_row(&self, row: usize, x: usize, around: &mut Around) {
+        let n = self.per_axis;
+        if n <= 3 {
+            around.push(self.start[row], self.start[row + n]);
+            return;
+        }
+        let (from, to) = (x.saturating_sub(1), (x + 2).min(n));
+        around.push(self.start[row + from], self.start[row + to]);
+        if x == 0 {
+            around.push(self.start[row + n - 1], self.start[row + n]);
+        } else if x + 1 == n {
+            around.push(self.start[row], self.start[row + 1]);
         }
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         4 * (self.start.capacity() + self.cell_of_row.capacity() + self.row_of_slot.capacity())
+    }
+}
+
+/// Nine rows of cells in 3D, each cut in two at the periodic seam at worst.
+const MOST_RANGES: usize = 18;
+
+/// What [`Cells::around`] finds.
+#[derive(Clone, Copy, Debug)]
+pub struct Around {
+    ranges: [(u32, u32); MOST_RANGES],
+    count: usize,
+}
+
+impl Around {
+    #[inline(always)]
+    fn push(&mut self, from: u32, to: u32) {
+        self.ranges[self.count] = (from, to);
+        self.count += 1;
+    }
+
+    /// The ranges of slots.
+    #[inline(always)]
+    pub fn ranges(&self) -> &[(u32, u32)] {
+        &self.ranges[..self.count]
     }
 }

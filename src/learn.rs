@@ -28,7 +28,7 @@ pub struct Evaluation {
 /// One iteration of the search, as it is recorded.
 #[derive(Clone, Debug)]
 pub struct Iteration<'a> {
-    /// Counted from zero, over all stages.
+    /// Zero is the guess; then counted over all stages.
     pub index: usize,
     /// Frames that count in this stage.
     pub window: usize,
@@ -137,7 +137,13 @@ impl<const D: usize> Learner<D> {
         guess: Vec<f64>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
-        let initial_loss = self.evaluate(&guess, self.frames).map_or(f64::INFINITY, |e| e.loss);
+        // The guess is iteration zero; one whose flow diverges can still be left by a shorter window.
+        let first = self.evaluate(&guess, self.frames).ok();
+        let initial_loss = first.as_ref().map_or(f64::INFINITY, |e| e.loss);
+        if let Some(evaluation) = &first {
+            let (index, window, rate, note) = (0, self.frames, 0.0, None);
+            watch(&Iteration { index, window, evaluation, rate, note })?;
+        }
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
         windows.push(self.frames);
@@ -187,9 +193,9 @@ impl<const D: usize> Learner<D> {
         while best.loss > enough && failures < PATIENCE && search.index < self.learn.iterations {
             let note = self.attempt(&mut optimiser, &mut best, window);
             failures = if note.is_some() { failures + 1 } else { 0 };
+            search.index += 1;
             let (index, rate) = (search.index, optimiser.damping());
             watch(&Iteration { index, window, evaluation: &best, rate, note })?;
-            search.index += 1;
         }
         search.at = best.parameters;
         Ok(())
@@ -244,9 +250,9 @@ impl<const D: usize> Learner<D> {
         let share = self.learn.iterations.div_ceil(stages);
         for iteration in 0..share {
             let evaluation = self.evaluate(&search.at, window)?;
+            search.index += 1;
             let (index, rate) = (search.index, optimiser.rate());
             watch(&Iteration { index, window, evaluation: &evaluation, rate, note: None })?;
-            search.index += 1;
             if evaluation.loss <= self.learn.target {
                 break;
             }

@@ -16,22 +16,26 @@ impl PeriodicBox {
     /// Exact for components in `(−L, L)`; branch-free, so lanes and dual numbers pass through it
     /// (its derivative is the identity).
     #[inline(always)]
-    pub fn minimum_image<T: Scalar, const D: usize>(&self, difference: Vector<T, D>) -> Vector<T, D> {
+    pub fn minimum_image<T: Scalar, const D: usize>(&self, mut difference: Vector<T, D>) -> Vector<T, D> {
         let length = T::of(self.length);
         let half = T::of(0.5 * self.length);
-        difference.map(|x| {
-            let x = T::select_less(half, x, x - length, x);
-            T::select_less(x, -half, x + length, x)
-        })
+        for x in &mut difference.0 {
+            let below = T::select_less(half, *x, *x - length, *x);
+            *x = T::select_less(below, -half, below + length, below);
+        }
+        difference
     }
 
     /// The image of a position inside `[0, L)ᵈ`.
     #[inline(always)]
     pub fn wrap<const D: usize>(&self, position: Vector<f64, D>) -> Vector<f64, D> {
         position.map(|x| {
+            if (0.0..self.length).contains(&x) {
+                return x;
+            }
             let inside = x - self.length * (x / self.length).floor();
-            // A tiny negative x rounds up to L itself, which is the same place as 0.
-            if inside < self.length { inside } else { 0.0 }
+            // A tiny negative x rounds up to L itself, which is the same place as 0; NaN stays NaN.
+            if inside >= self.length { 0.0 } else { inside }
         })
     }
 }

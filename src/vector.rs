@@ -94,16 +94,23 @@ impl<T: Scalar, const D: usize> Sub for Vector<T, D> {
 impl<T: Scalar, const D: usize> Neg for Vector<T, D> {
     type Output = Self;
     #[inline(always)]
-    fn neg(self) -> Self {
-        self.map(|x| -x)
+    fn neg(mut self) -> Self {
+        for x in &mut self.0 {
+            *x = -*x;
+        }
+        self
     }
 }
 
 impl<T: Scalar, const D: usize> Mul<T> for Vector<T, D> {
     type Output = Self;
     #[inline(always)]
-    fn mul(self, factor: T) -> Self {
-        self.map(|x| x * factor)
+    fn mul(mut self, factor: T) -> Self {
+        // A loop: the closure of an array's `map` is not inlined into vectorised functions.
+        for x in &mut self.0 {
+            *x = *x * factor;
+        }
+        self
     }
 }
 

@@ -38,7 +38,9 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for ForcePass<'_, M, D> {
                 let batch = Batch::<D>::read(self.packed, here, slots, self.space);
                 sum += batch.separation * self.model.strength(&batch.pair, batch.stresses);
             }
-            *acceleration = sum.map(Lanes::sum);
+            for axis in 0..D {
+                acceleration[axis] = sum[axis].sum();
+            }
         }
     }
 }

@@ -9,10 +9,11 @@ use super::particles::{Acceleration, Cloud, Position, Velocity};
 use super::verlet::Integrator;
 use crate::packed::Packed;
 use crate::cells::Cells;
-use crate::scalar::WIDTH;
+use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
@@ -46,33 +47,64 @@ impl Chunk {
         self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
     }
 
-    fn fill<const D: usize>(&mut self, list: &ListSource<'_, D>) {
-        let count = list.packed.len() - 1;
-        self.start.clear();
-        self.index.clear();
-        self.start.push(0);
-        for slot in self.first..(self.first + CHUNK).min(count) {
-            let here = Vector::<f64, D>::from_3d(list.packed[slot].position);
-            list.cells.around(list.cells.coordinates(here), |slots| {
-                for other in slots {
-                    let there = Vector::<f64, D>::from_3d(list.packed[other].position);
-                    let apart = list.space.minimum_image(here - there).norm_squared();
-                    if apart < list.reach2 && other != slot {
-                        self.index.push(other as u32);
-                    }
-                }
-            });
-            self.index.resize(self.index.len().next_multiple_of(WIDTH), count as u32);
-            self.start.push(self.index.len() as u32);
+    /// Appends those of the eight slots from `first` on, below `end`, that are in reach.
+    #[inline(always)]
+    fn append(&mut self, r2: Lanes, (slot, first, end): (usize, usize, usize), reach2: f64) {
+        let length = self.index.len();
+        self.index.resize(length + WIDTH, 0);
+        let room = &mut self.index[length..];
+        let mut kept = 0;
+        // Without a branch: every candidate is written, only a neighbour moves the place on.
+        for (lane, r2) in r2.to_array().into_iter().enumerate() {
+            let other = first + lane;
+            room[kept] = other as u32;
+            kept += usize::from(r2 < reach2 && other < end && other != slot);
         }
+        self.index.truncate(length + kept);
     }
 }
 
-struct ListSource<'a, const D: usize> {
-    packed: &'a [Packed],
+/// What the lists of one chunk are built from.
+struct ListPass<'a, const D: usize> {
+    chunk: &'a mut Chunk,
+    /// Coordinates in cell order, axis by axis, with [`WIDTH`] of nobody's behind them.
+    columns: &'a [Vec<f64>; D],
     cells: &'a Cells<D>,
     space: PeriodicBox,
     reach2: f64,
+}
+
+impl<const D: usize> NullaryFnOnce for ListPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { chunk, columns, cells, space, reach2 } = self;
+        let count = columns[0].len() - WIDTH;
+        chunk.start.clear();
+        chunk.index.clear();
+        chunk.start.push(0);
+        for slot in chunk.first..(chunk.first + CHUNK).min(count) {
+            let mut here = Vector::<f64, D>::zero();
+            for axis in 0..D {
+                here[axis] = columns[axis][slot];
+            }
+            for &(from, to) in cells.around(cells.coordinates(here)).ranges() {
+                for first in (from as usize..to as usize).step_by(WIDTH) {
+                    let mut apart = Vector::<Lanes, D>::zero();
+                    for axis in 0..D {
+                        let mut there = [0.0; WIDTH];
+                        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
+                        apart[axis] = Lanes::of(here[axis]) - Lanes::new(there);
+                    }
+                    let r2 = space.minimum_image(apart).norm_squared();
+                    chunk.append(r2, (slot, first, to as usize), reach2);
+                }
+            }
+            chunk.index.resize(chunk.index.len().next_multiple_of(WIDTH), count as u32);
+            chunk.start.push(chunk.index.len() as u32);
+        }
+    }
 }
 
 /// The neighbour list of a World.
@@ -93,6 +125,8 @@ pub struct Neighbours<const D: usize> {
     /// Positions by row at the last rebuild.
     reference: Vec<Vector<f64, D>>,
     positions: Vec<Vector<f64, D>>,
+    /// Coordinates in cell order at the last rebuild.
+    columns: [Vec<f64>; D],
 }
 
 impl<const D: usize> Neighbours<D> {
@@ -107,6 +141,7 @@ impl<const D: usize> Neighbours<D> {
             rebuilds: 0,
             reference: Vec::new(),
             positions: Vec::new(),
+            columns: std::array::from_fn(|_| Vec::new()),
         }
     }
 
@@ -127,7 +162,8 @@ impl<const D: usize> Neighbours<D> {
     /// Bytes held by the lists.
     pub fn bytes(&self) -> usize {
         let per_chunk = |c: &Chunk| 4 * (c.index.capacity() + c.start.capacity());
-        let per_row = 8 * D * (self.reference.capacity() + self.positions.capacity());
+        let per_row = 8 * D
+            * (self.reference.capacity() + self.positions.capacity() + self.columns[0].capacity());
         self.chunks.iter().map(per_chunk).sum::<usize>() + per_row + self.cells.bytes()
     }
 
@@ -168,16 +204,17 @@ impl<const D: usize> Neighbours<D> {
     fn build(&mut self, cloud: &Cloud<D>) {
         self.rebuilds += 1;
         let reach = self.support + self.skin;
-        let source = ListSource {
-            packed: &cloud.packed,
-            cells: &self.cells,
-            space: self.space,
-            reach2: reach * reach,
-        };
+        for (axis, column) in self.columns.iter_mut().enumerate() {
+            column.clear();
+            column.extend(cloud.particles().iter().map(|p| p.position[axis]));
+            column.extend([Packed::NOBODY.position[axis]; WIDTH]);
+        }
         self.chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
+        let (columns, cells, space) = (&self.columns, &self.cells, self.space);
         self.chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             chunk.first = number * CHUNK;
-            chunk.fill(&source);
+            let reach2 = reach * reach;
+            Arch::new().dispatch(ListPass { chunk, columns, cells, space, reach2 });
         });
     }
 }

@@ -116,13 +116,18 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     for (k, (state, densities)) in lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate() {
         recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
     }
+    let learned: Vec<&str> = learner.columns().iter().map(|p| p.name()).collect();
+    let text = format!("learning {} from {} steps", learned.join(", "), lesson.learn.frames);
+    recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
     let outcome = search(&mut learner, guess, &lesson, &mut recorder)
         .and_then(|outcome| record_learned(scene, &lesson, &outcome, &mut recorder).map(|()| outcome));
-    if let Err(error) = &outcome {
-        recorder.log(Level::Error, lesson.truth.states[0].time, error.to_string())?;
-    }
+    let (level, text) = match &outcome {
+        Ok(o) => (Level::Info, format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations)),
+        Err(error) => (Level::Error, error.to_string()),
+    };
+    recorder.log(level, lesson.truth.states.last().map_or(0.0, |s| s.time), text)?;
     recorder.finish()?;
     let outcome = outcome?;
     let train = clock.elapsed().as_secs_f64();

@@ -62,8 +62,8 @@ impl<K: Kernel, const D: usize> Points<'_, K, D> {
     #[inline(always)]
     fn around(&self, x: Vector<f64, D>, mut visit: impl FnMut(usize, Vector<f64, D>, f64)) {
         let reach2 = self.smoothing.support() * self.smoothing.support();
-        self.cells.around(self.cells.coordinates(x), |slots| {
-            for slot in slots {
+        for &(from, to) in self.cells.around(self.cells.coordinates(x)).ranges() {
+            for slot in from as usize..to as usize {
                 let r = Vector::<f64, D>::from_3d(self.packed[slot].position);
                 let apart = self.space.minimum_image(x - r);
                 let r2 = apart.norm_squared();
@@ -71,7 +71,7 @@ impl<K: Kernel, const D: usize> Points<'_, K, D> {
                     visit(slot, apart, r2.sqrt());
                 }
             }
-        });
+        }
     }
 
     /// `V(x) = Σⱼ (m/ρⱼ) vⱼ W(|x − rⱼ|; h)`, Eq. (13).

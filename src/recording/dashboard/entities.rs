@@ -244,7 +244,8 @@ fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStr
         let norm = sum.iter().map(|x| x * x).sum::<f64>().sqrt();
         log10(norm, TrainStep::LOG10_FLOOR)
     };
-    let names = ["momentum", "by pressure", "by viscosity", "by forcing"];
+    let first = kept.first().map(|now| now.momentum.clone()).unwrap_or_default();
+    let names = ["drift", "by pressure", "by viscosity", "by forcing"];
     let momentum = Curves::new("diag/momentum", names);
     let energy = Curves::new("diag/energy", ["kinetic", "total"]);
     let limits = Curves::new(
@@ -258,14 +259,10 @@ fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStr
         stream.reset_time();
         stream.set_duration_secs("time", now.time.max(0.0));
         stream.set_time_sequence("step", i64::try_from(now.step).unwrap_or(i64::MAX));
-        let sums = [
-            &now.momentum,
-            &now.momentum_pressure,
-            &now.momentum_viscosity,
-        ];
-        let [all, pressure, viscosity] = sums.map(|sum| log10_norm(sum));
-        let forcing = log10_norm(&now.momentum_forcing);
-        momentum.add(stream, &[all, pressure, viscosity, forcing])?;
+        let drift: Vec<f64> = now.momentum.iter().zip(&first).map(|(a, b)| a - b).collect();
+        let sums =
+            [&drift, &now.momentum_pressure, &now.momentum_viscosity, &now.momentum_forcing];
+        momentum.add(stream, &sums.map(|sum| log10_norm(sum)))?;
         energy.add(stream, &[now.kinetic_energy, now.total_energy])?;
         limits.add(
             stream,

@@ -171,7 +171,7 @@ fn keeping(content: &Content) -> Vec<Panel> {
     if content.conservation {
         let corner = Some(Corner2D::RightTop);
         row.push(Panel::plot(
-            "log10 of |Σ m v| and |Σ m a|, by time",
+            "log10 of momentum drift and |Σ m a|, by time",
             &["/diag/momentum"],
             corner,
         ));
