@@ -39,7 +39,11 @@ pub struct EnergyInjection {
 
 impl EnergyInjection {
     /// The law for a flow of these velocities, `[x, y, z]` each.
-    pub fn new(theta: f64, power: Power, velocities: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
+    pub fn new(
+        theta: f64,
+        power: Power,
+        velocities: impl Iterator<Item = [f64; 3]> + Clone,
+    ) -> Self {
         let count = velocities.clone().count().max(1) as f64;
         let mut mean = [0.0; 3];
         for v in velocities.clone() {
@@ -50,7 +54,8 @@ impl EnergyInjection {
             Power::Paper => ([0.0; 3], 0.5),
             Power::Exact => (mean, 1.0),
         };
-        let square = |v: [f64; 3]| (0..3).map(|a| (v[a] - origin[a]) * (v[a] - origin[a])).sum::<f64>();
+        let square =
+            |v: [f64; 3]| (0..3).map(|a| (v[a] - origin[a]) * (v[a] - origin[a])).sum::<f64>();
         let energy = share * velocities.map(square).sum::<f64>() / count;
         let rate = if energy > 0.0 { theta / energy } else { 0.0 };
         Self { mean, origin, energy, share, rate, theta }

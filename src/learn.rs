@@ -209,8 +209,7 @@ impl<const D: usize> Learner<D> {
         window: usize,
     ) -> Option<String> {
         let products = Products::new(&self.learn.parameters);
-        let (gradient, normal) =
-            products.pull_back(&best.parameters, &best.gradient, &best.normal);
+        let (gradient, normal) = products.pull_back(&best.parameters, &best.gradient, &best.normal);
         let Some((step, predicted)) = optimiser.propose(&gradient, &normal) else {
             optimiser.reject();
             return Some("the damped normal matrix is not positive definite".to_owned());

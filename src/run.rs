@@ -70,7 +70,7 @@ pub fn run_recorded<const D: usize>(
     after: &mut dyn FnMut(&Flow<D>),
 ) -> Result<()> {
     let mut keep = |flow: &mut Flow<D>| match &mut recorder {
-        Some(recorder) if every > 0 && flow.steps() % every == 0 => {
+        Some(recorder) if every > 0 && flow.steps().is_multiple_of(every) => {
             record_now(recorder, topic, flow)
         }
         _ => Ok(()),
@@ -117,8 +117,13 @@ pub fn truth_from_recording<const D: usize>(
         return refuse(format!("a box of {expected}"), found.to_string(), "set fluid.box_length");
     }
     if count < first + frames + 1 {
-        let expected = format!("{} frames (the start, and learn.frames behind it)", first + frames + 1);
-        return refuse(expected, count.to_string(), "set learn.after and learn.frames to what there is");
+        let expected =
+            format!("{} frames (the start, and learn.frames behind it)", first + frames + 1);
+        return refuse(
+            expected,
+            count.to_string(),
+            "set learn.after and learn.frames to what there is",
+        );
     }
     let mut truth = Truth::default();
     for k in first..=first + frames {

@@ -16,7 +16,10 @@ impl PeriodicBox {
     /// Exact for components in `(−L, L)`; branch-free, so lanes and dual numbers pass through it
     /// (its derivative is the identity).
     #[inline(always)]
-    pub fn minimum_image<T: Scalar, const D: usize>(&self, mut difference: Vector<T, D>) -> Vector<T, D> {
+    pub fn minimum_image<T: Scalar, const D: usize>(
+        &self,
+        mut difference: Vector<T, D>,
+    ) -> Vector<T, D> {
         let length = T::of(self.length);
         let half = T::of(0.5 * self.length);
         for x in &mut difference.0 {

@@ -1,10 +1,10 @@
 //! Where the truth comes from: a flow run on the spot.
 
+use crate::cells::Cells;
 use crate::error::Result;
 use crate::flow::{Flow, State};
 use crate::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
 use crate::losses::{Mesh, Points, field};
-use crate::cells::Cells;
 use crate::packed::Packed;
 use crate::scene::{KernelName, Learn, Scene};
 use crate::space::PeriodicBox;
@@ -51,9 +51,9 @@ impl<const D: usize> Truth<D> {
     /// What a prediction from the first state is compared with: the states behind it, and their
     /// fields where the scene asks for a field loss.
     pub fn observations(&self, scene: &Scene, learn: &Learn) -> Observations<D> {
-        let per_axis = learn.mesh.unwrap_or_else(|| {
-            (scene.particles() as f64).powf(1.0 / D as f64).round() as usize
-        });
+        let per_axis = learn
+            .mesh
+            .unwrap_or_else(|| (scene.particles() as f64).powf(1.0 / D as f64).round() as usize);
         let mesh = Mesh { per_axis, length: scene.fluid.box_length };
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
         let frames: Vec<Observation<D>> = states

@@ -46,7 +46,11 @@ pub struct ViscosityGradient<T> {
 
 /// `Π` of Eq. (21) and its derivatives by everything it depends on.
 #[inline(always)]
-pub fn monaghan_gradient<T: Scalar>(pair: &Pair<T>, h: f64, by: &Viscosity<T>) -> ViscosityGradient<T> {
+pub fn monaghan_gradient<T: Scalar>(
+    pair: &Pair<T>,
+    h: f64,
+    by: &Viscosity<T>,
+) -> ViscosityGradient<T> {
     let zero = T::of(0.0);
     let softened = T::of(h) / (pair.r2 + EPSILON * h * h);
     let mu = pair.approach.min(zero) * softened;

@@ -3,10 +3,10 @@
 use super::neighbours::{CHUNK, Chunk, Neighbours};
 use super::pairs::Batch;
 use super::particles::{Acceleration, Cloud, SensitivityBlock, SensitivityCloud};
-use crate::packed::{Packed, PackedSensitivity};
-use crate::sensitivity::Coupling;
 use crate::models::{Model, Parameter, Strength};
+use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::{Lanes, WIDTH};
+use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -108,7 +108,9 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for ForceTangent<'_, M, D> {
                 let batch = Batch::<D>::read(self.packed, &self.packed[slot], slots, self.space);
                 let pairs = PairTangents::new(self.model, &batch, &self.block.directions);
                 for (lane, &j) in slots.iter().enumerate() {
-                    let Some(other) = self.block.packed.get(j as usize) else { break };
+                    let Some(other) = self.block.packed.get(j as usize) else {
+                        break;
+                    };
                     sum += match self.coupling {
                         Coupling::Full => pairs.full(lane, own, other),
                         Coupling::Local => {
@@ -142,7 +144,11 @@ struct PairTangents<const D: usize> {
 
 impl<const D: usize> PairTangents<D> {
     #[inline(always)]
-    fn new<M: Model<D>>(model: &M, batch: &Batch<D>, directions: &[Lanes; Parameter::COUNT]) -> Self {
+    fn new<M: Model<D>>(
+        model: &M,
+        batch: &Batch<D>,
+        directions: &[Lanes; Parameter::COUNT],
+    ) -> Self {
         let s = model.strength_gradient(&batch.pair, batch.stresses);
         Self {
             separation: batch.separation.map(Lanes::to_array),

@@ -4,10 +4,10 @@ use super::acceleration::Law;
 use super::neighbours::{CHUNK, Chunk, Neighbours};
 use super::pairs::separation;
 use super::particles::{Cloud, Density, SensitivityCloud};
-use crate::packed::{Packed, PackedSensitivity};
-use crate::sensitivity::Coupling;
 use crate::models::{Model, Parameter};
+use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::{Lanes, Scalar};
+use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -50,8 +50,13 @@ pub fn sum_density<M: Model<D>, const D: usize>(
 ) {
     let Cloud { packed, density, .. } = &mut *cloud;
     neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).for_each(|(chunk, density)| {
-        let pass =
-            DensityPass { packed: &*packed, chunk, space: neighbours.space, model: &law.0, density };
+        let pass = DensityPass {
+            packed: &*packed,
+            chunk,
+            space: neighbours.space,
+            model: &law.0,
+            density,
+        };
         Arch::new().dispatch(pass);
     });
     packed.par_iter_mut().zip(&*density).with_min_len(CHUNK).for_each(|(line, &rho)| {
@@ -98,7 +103,9 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityTangent<'_, M, D> {
                 let pulls: Vector<Lanes, D> = r * pull;
                 let pulls = pulls.map(Lanes::to_array);
                 for (lane, &j) in slots.iter().enumerate() {
-                    let Some(other) = self.sensitivity.get(j as usize) else { break };
+                    let Some(other) = self.sensitivity.get(j as usize) else {
+                        break;
+                    };
                     for axis in 0..D {
                         let apart = match self.coupling {
                             Coupling::Full => own.position[axis] - other.position[axis],

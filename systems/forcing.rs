@@ -132,8 +132,7 @@ impl StochasticForcing {
     /// The force on each particle less their mean, in cell order.
     fn forces<const D: usize>(&self, cloud: &Cloud<D>) -> Vec<Vector<f64, D>> {
         let particles = cloud.particles().par_iter().with_min_len(CHUNK);
-        let mut forces: Vec<Vector<f64, D>> =
-            particles.map(|p| self.force(p.position)).collect();
+        let mut forces: Vec<Vector<f64, D>> = particles.map(|p| self.force(p.position)).collect();
         let mut mean = Vector::zero();
         forces.iter().for_each(|&force| mean += force);
         mean = mean * (1.0 / cloud.len().max(1) as f64);

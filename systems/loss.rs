@@ -71,7 +71,9 @@ pub fn accumulate_loss<M: Model<D>, const D: usize>(
     mut loss: ResMut<LossSum>,
 ) {
     let frames = &observations.frames[..observations.window];
-    let Some(frame) = frames.iter().find(|frame| frame.step == clock.step) else { return };
+    let Some(frame) = frames.iter().find(|frame| frame.step == clock.step) else {
+        return;
+    };
     let blocks: Vec<_> = match &sensitivities {
         Some(cloud) => cloud.blocks.iter().map(|block| block.packed.as_slice()).collect(),
         None => Vec::new(),

@@ -169,9 +169,8 @@ fn in_order(program: Program) -> Schedule {
         use Phase::*;
         let evaluation = (Neighbours, Visible, Density, Force, Forcing, Return).chain();
         let judgement = (Loss, Watch).chain();
-        schedule.configure_sets(
-            (Refresh, FirstKick, Drift, evaluation, SecondKick, judgement).chain(),
-        );
+        schedule
+            .configure_sets((Refresh, FirstKick, Drift, evaluation, SecondKick, judgement).chain());
     }
     use Refresh::*;
     schedule.configure_sets((Pack, Force, Forcing, Return).chain().in_set(Phase::Refresh));

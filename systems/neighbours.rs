@@ -7,8 +7,8 @@
 
 use super::particles::{Acceleration, Cloud, Position, Velocity};
 use super::verlet::Integrator;
-use crate::packed::Packed;
 use crate::cells::Cells;
+use crate::packed::Packed;
 use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -156,13 +156,17 @@ impl<const D: usize> Neighbours<D> {
             };
             chunk.neighbours(k).as_flattened().iter().filter(near).count() as u64
         };
-        self.chunks.iter().map(|chunk| (0..chunk.len()).map(|k| within(chunk, k)).sum::<u64>()).sum()
+        self.chunks
+            .iter()
+            .map(|chunk| (0..chunk.len()).map(|k| within(chunk, k)).sum::<u64>())
+            .sum()
     }
 
     /// Bytes held by the lists.
     pub fn bytes(&self) -> usize {
         let per_chunk = |c: &Chunk| 4 * (c.index.capacity() + c.start.capacity());
-        let per_row = 8 * D
+        let per_row = 8
+            * D
             * (self.reference.capacity() + self.positions.capacity() + self.columns[0].capacity());
         self.chunks.iter().map(per_chunk).sum::<usize>() + per_row + self.cells.bytes()
     }
@@ -176,8 +180,8 @@ impl<const D: usize> Neighbours<D> {
         let limit = 0.25 * self.skin * self.skin;
         self.reference.len() != self.positions.len()
             || self.positions.iter().zip(&self.reference).any(|(&now, &then)| {
-                // Not "≥ limit": a NaN must count as having moved.
-                !(self.space.minimum_image(now - then).norm_squared() < limit)
+                let moved = self.space.minimum_image(now - then).norm_squared();
+                moved.is_nan() || moved >= limit
             })
     }
 
@@ -230,7 +234,9 @@ pub fn brute_force<const D: usize>(
         space.minimum_image(positions[i] - positions[j]).norm_squared() < radius * radius
     };
     let all = 0..positions.len();
-    all.clone().flat_map(|i| all.clone().filter(move |&j| i != j && near(i, j)).map(move |j| (i, j))).collect()
+    all.clone()
+        .flat_map(|i| all.clone().filter(move |&j| i != j && near(i, j)).map(move |j| (i, j)))
+        .collect()
 }
 
 /// System: brings the neighbour lists and the packed positions up to date.

@@ -1,7 +1,7 @@
 //! Eight neighbours at once: how every pair loop reads the cloud.
 
-use crate::packed::Packed;
 use crate::models::Pair;
+use crate::packed::Packed;
 use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -46,7 +46,12 @@ pub fn separation<const D: usize>(
 impl<const D: usize> Batch<D> {
     /// Particle `here` against the particles in `slots`.
     #[inline(always)]
-    pub fn read(packed: &[Packed], here: &Packed, slots: &[u32; WIDTH], space: PeriodicBox) -> Self {
+    pub fn read(
+        packed: &[Packed],
+        here: &Packed,
+        slots: &[u32; WIDTH],
+        space: PeriodicBox,
+    ) -> Self {
         let separation = separation(packed, here, slots, space);
         let mut velocity = Vector::zero();
         for axis in 0..D {

@@ -89,7 +89,12 @@ impl Look {
     }
 
     /// `(quantity, found, remedy)` of the first limit broken.
-    fn verdict(&self, limits: Limits, courant: f64, count: f64) -> Option<(String, String, String)> {
+    fn verdict(
+        &self,
+        limits: Limits,
+        courant: f64,
+        count: f64,
+    ) -> Option<(String, String, String)> {
         if let Some((quantity, row)) = self.not_finite {
             return Some((
                 format!("the {quantity} of particle {row}"),
@@ -109,7 +114,8 @@ impl Look {
             (
                 "the kinetic energy per unit mass".to_owned(),
                 format!("is {energy:.3e}, expected at most {:e}", limits.energy),
-                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta)".to_owned(),
+                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta)"
+                    .to_owned(),
             )
         })
     }

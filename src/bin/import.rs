@@ -78,7 +78,8 @@ fn import(arguments: &Arguments) -> Result<()> {
         }
         None => None,
     };
-    let mut recorder = Recorder::create(&arguments.out, &run_info(arguments, &velocities, dimension))?;
+    let mut recorder =
+        Recorder::create(&arguments.out, &run_info(arguments, &velocities, dimension))?;
     for k in 0..frames {
         let vector = |array: &Array, i: usize| {
             std::array::from_fn(|axis| if axis < dimension { array.at(&[k, i, axis]) } else { 0.0 })
@@ -110,7 +111,8 @@ fn import(arguments: &Arguments) -> Result<()> {
 fn run_info(arguments: &Arguments, velocities: &Array, dimension: usize) -> RunInfo {
     let square = velocities.values.iter().map(|v| v * v).sum::<f64>();
     let typical = (square / velocities.values.len().max(1) as f64).sqrt();
-    let mut metadata = vec![("command", "import".to_owned()), ("dt", format!("{:?}", arguments.dt))];
+    let mut metadata =
+        vec![("command", "import".to_owned()), ("dt", format!("{:?}", arguments.dt))];
     if let Some(h) = arguments.smoothing_length {
         metadata.push(("smoothing_length", format!("{h:?}")));
     }
@@ -146,7 +148,8 @@ impl Array {
         let shape: Vec<usize> = npy.shape().iter().map(|&n| n as usize).collect();
         let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
         // A header may promise more than the file holds: look before allocating for it.
-        if count.is_none_or(|count| count as u64 > bytes) || shape.len() != rank || count == Some(0) {
+        if count.is_none_or(|count| count as u64 > bytes) || shape.len() != rank || count == Some(0)
+        {
             return refuse(format!("shape {shape:?} in a file of {bytes} bytes"));
         }
         let fortran = npy.order() == npyz::Order::Fortran;

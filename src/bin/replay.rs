@@ -58,33 +58,20 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<Value> {
     let each: Result<Vec<Value>> = if arguments.recover {
         one_file(arguments, "--recover")?;
-        arguments
-            .files
-            .iter()
-            .map(|file| rescue(file, arguments.out.as_deref()))
-            .collect()
+        arguments.files.iter().map(|file| rescue(file, arguments.out.as_deref())).collect()
     } else if arguments.info {
         arguments.files.iter().map(|file| describe(file)).collect()
     } else {
         view(arguments)
     };
     let mut each = each?;
-    Ok(if each.len() == 1 {
-        each.remove(0)
-    } else {
-        json!({ "recordings": each })
-    })
+    Ok(if each.len() == 1 { each.remove(0) } else { json!({ "recordings": each }) })
 }
 
 fn one_file(arguments: &Arguments, option: &str) -> Result<()> {
     match arguments.files.len() {
         1 => Ok(()),
-        count => Err(Error::input(
-            option,
-            "one recording",
-            count,
-            "call it once for each",
-        )),
+        count => Err(Error::input(option, "one recording", count, "call it once for each")),
     }
 }
 
@@ -109,18 +96,13 @@ fn describe(file: &Path) -> Result<Value> {
     };
     let particles = |flow: Flow| match recording.frame_count(flow) {
         0 => Ok(None),
-        _ => recording
-            .frame(flow, 0)
-            .map(|frame| Some(frame.densities.len())),
+        _ => recording.frame(flow, 0).map(|frame| Some(frame.densities.len())),
     };
     let count = particles(Flow::Truth)?.or(particles(Flow::Learned)?);
     let last = recording.train_steps()?.pop();
     let named = |values: &[f64]| {
         let name = |k: usize| run.parameters.get(k).cloned().unwrap_or(k.to_string());
-        let pairs = values
-            .iter()
-            .enumerate()
-            .map(|(k, value)| (name(k), json!(value)));
+        let pairs = values.iter().enumerate().map(|(k, value)| (name(k), json!(value)));
         Value::Object(pairs.collect())
     };
     Ok(json!({
@@ -154,10 +136,7 @@ fn view(arguments: &Arguments) -> Result<Vec<Value>> {
     let each = arguments.files.iter().map(|file| {
         let recording = Recording::open(file)?;
         if recording.is_truncated() {
-            complain(&format!(
-                "{}: cut short; showing what is there",
-                file.display()
-            ));
+            complain(&format!("{}: cut short; showing what is there", file.display()));
         }
         let name = file.file_stem().unwrap_or_default().to_string_lossy();
         show(&recording, &name, &target)?;

@@ -78,8 +78,10 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
     let path = arguments.record.clone().unwrap_or(default);
     let path = (scene.record.every > 0).then_some(path);
-    let mut recorder =
-        path.as_ref().map(|path| Recorder::create(path, &run_info(scene, "simulate"))).transpose()?;
+    let mut recorder = path
+        .as_ref()
+        .map(|path| Recorder::create(path, &run_info(scene, "simulate")))
+        .transpose()?;
     flow.start()?;
     let before = conservation(&mut flow);
     let bar = progress(steps, "simulate");

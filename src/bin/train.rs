@@ -17,6 +17,7 @@ use whirls::models::Parameter;
 use whirls::recording::{self, Level, Recorder, Recording, TrainStep};
 use whirls::run::{frame, run_info, run_recorded, truth_from_recording};
 use whirls::scene::Learn;
+use whirls::sensitivity::{ComparedSlope, compare_with_differences};
 use whirls::truth::Truth;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -113,7 +114,9 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         .clone()
         .unwrap_or_else(|| PathBuf::from(format!("recordings/{}.mcap", scene.name)));
     let mut recorder = Recorder::create(&path, &run_info(scene, "train"))?;
-    for (k, (state, densities)) in lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate() {
+    for (k, (state, densities)) in
+        lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate()
+    {
         recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
     }
     let learned: Vec<&str> = learner.columns().iter().map(|p| p.name()).collect();
@@ -121,10 +124,14 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
-    let outcome = search(&mut learner, guess, &lesson, &mut recorder)
-        .and_then(|outcome| record_learned(scene, &lesson, &outcome, &mut recorder).map(|()| outcome));
+    let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
+        record_learned(scene, &lesson, &outcome, &mut recorder).map(|()| outcome)
+    });
     let (level, text) = match &outcome {
-        Ok(o) => (Level::Info, format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations)),
+        Ok(o) => (
+            Level::Info,
+            format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations),
+        ),
         Err(error) => (Level::Error, error.to_string()),
     };
     recorder.log(level, lesson.truth.states.last().map_or(0.0, |s| s.time), text)?;
@@ -169,9 +176,12 @@ fn first_guess<const D: usize>(
     scene: &Scene,
     learner: &Learner<D>,
 ) -> Result<Vec<f64>> {
-    let Some(path) = &arguments.resume else { return Ok(learner.guess(scene.seed)) };
+    let Some(path) = &arguments.resume else {
+        return Ok(learner.guess(scene.seed));
+    };
     let earlier = Recording::open(path)?;
-    let names: Vec<&str> = scene.learn.iter().flat_map(|l| &l.parameters).map(|p| p.name()).collect();
+    let names: Vec<&str> =
+        scene.learn.iter().flat_map(|l| &l.parameters).map(|p| p.name()).collect();
     let steps = earlier.train_steps()?;
     match steps.last() {
         Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),
@@ -197,7 +207,11 @@ fn search<const D: usize>(
         bar.set_message(format!("loss {:.2e}", iteration.evaluation.loss));
         recorder.train_step(train_step(iteration, lesson))?;
         if let Some(note) = &iteration.note {
-            recorder.log(Level::Warning, start, format!("iteration {}: {note}", iteration.index))?;
+            recorder.log(
+                Level::Warning,
+                start,
+                format!("iteration {}: {note}", iteration.index),
+            )?;
         }
         recorder.checkpoint()
     });
@@ -287,7 +301,7 @@ fn describe(report: &Report) {
     say(format!("recorded in {}", report.recording.display()));
 }
 
-/// Prints the gradient at a guess beside central differences with the best of three steps.
+/// Prints the gradient at a guess beside central differences.
 fn check_gradient<const D: usize>(
     learner: &mut Learner<D>,
     guess: &[f64],
@@ -297,24 +311,10 @@ fn check_gradient<const D: usize>(
     let exact = learner.evaluate(guess, frames)?;
     let seconds = clock.elapsed().as_secs_f64();
     say(format!("loss {:.6e} at {guess:.6?}; forward gradient in {seconds:.3} s", exact.loss));
-    say("  parameter   forward                central differences    relative difference");
-    for (k, parameter) in learner.columns().to_vec().into_iter().enumerate() {
-        let mut best = (f64::INFINITY, f64::NAN);
-        for relative in [1e-4, 1e-5, 1e-6] {
-            let step = relative * guess[k].abs().max(1e-3);
-            let mut at = |x: f64| {
-                let mut moved = guess.to_vec();
-                moved[k] = x;
-                learner.evaluate(&moved, frames).map(|e| e.loss)
-            };
-            let slope = (at(guess[k] + step)? - at(guess[k] - step)?) / (2.0 * step);
-            let error = ((slope - exact.gradient[k]) / exact.gradient[k]).abs();
-            if error < best.0 {
-                best = (error, slope);
-            }
-        }
-        let (name, forward, (error, central)) = (parameter.name(), exact.gradient[k], best);
-        say(format!("  {name:9} {forward:+.15e} {central:+.15e} {error:.1e}"));
+    say("  parameter  forward                 central differences     relative difference");
+    for check in compare_with_differences(learner, &exact, frames)? {
+        let ComparedSlope { parameter, exact, central, relative } = check;
+        say(format!("  {:9}  {exact:+.15e} {central:+.15e} {relative:.1e}", parameter.name()));
     }
     Ok(())
 }

@@ -27,7 +27,8 @@ impl Parameter {
     /// How many there are.
     pub const COUNT: usize = 5;
     /// All of them, in the order of [`Parameters`].
-    pub const ALL: [Self; Self::COUNT] = [Self::C, Self::Alpha, Self::Beta, Self::Gamma, Self::Theta];
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::C, Self::Alpha, Self::Beta, Self::Gamma, Self::Theta];
 
     /// Its name in scenes, recordings and reports.
     pub fn name(self) -> &'static str {

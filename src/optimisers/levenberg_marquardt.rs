@@ -133,7 +133,8 @@ mod tests {
 
     #[test]
     fn a_parameter_without_effect_stays_where_it_is() {
-        let (step, _) = LevenbergMarquardt::new(0.0).propose(&[2.0, 0.0], &[1.0, 0.0, 0.0, 0.0]).unwrap();
+        let (step, _) =
+            LevenbergMarquardt::new(0.0).propose(&[2.0, 0.0], &[1.0, 0.0, 0.0, 0.0]).unwrap();
         assert_eq!(step, [-1.0, 0.0]);
     }
 

@@ -36,7 +36,8 @@ impl Products {
     pub fn products(&self, parameters: &[f64]) -> Vec<f64> {
         let c = self.c.map_or(1.0, |k| parameters[k]);
         let each = self.parameters.iter().zip(parameters);
-        each.map(|(&p, &x)| if p == Parameter::C { c * c } else { x * c.powi(self.power(p)) }).collect()
+        each.map(|(&p, &x)| if p == Parameter::C { c * c } else { x * c.powi(self.power(p)) })
+            .collect()
     }
 
     /// From products to parameters; `None` where `c²` is not positive.
@@ -47,7 +48,10 @@ impl Products {
         }
         let c = square.sqrt();
         let each = self.parameters.iter().zip(products);
-        Some(each.map(|(&p, &q)| if p == Parameter::C { c } else { q / c.powi(self.power(p)) }).collect())
+        Some(
+            each.map(|(&p, &q)| if p == Parameter::C { c } else { q / c.powi(self.power(p)) })
+                .collect(),
+        )
     }
 
     /// `∂parameters/∂products`, row by row.

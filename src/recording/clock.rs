@@ -26,10 +26,7 @@ pub(super) fn ticks(count: u64) -> u64 {
 /// The protobuf timestamp of a simulation time, rounded as [`nanoseconds`] does.
 pub(super) fn timestamp(time: f64) -> prost_types::Timestamp {
     let whole = nanoseconds(time);
-    prost_types::Timestamp {
-        seconds: (whole / TICK) as i64,
-        nanos: (whole % TICK) as i32,
-    }
+    prost_types::Timestamp { seconds: (whole / TICK) as i64, nanos: (whole % TICK) as i32 }
 }
 
 #[cfg(test)]

@@ -53,12 +53,7 @@ impl Frame {
             Column::new("vz", axis(2)),
             Column::new("rho", self.densities),
         ];
-        Cloud {
-            step: self.step,
-            time: self.time,
-            positions: self.positions,
-            columns,
-        }
+        Cloud { step: self.step, time: self.time, positions: self.positions, columns }
     }
 
     pub(super) fn from_cloud(cloud: Cloud, place: &str) -> Result<Self> {
@@ -78,13 +73,7 @@ impl Frame {
         let densities = column("rho")?.to_vec();
         let velocities = (0..vx.len()).map(|k| [vx[k], vy[k], vz[k]]).collect();
         let (step, time) = (cloud.step, cloud.time);
-        Ok(Self {
-            step,
-            time,
-            positions: cloud.positions,
-            velocities,
-            densities,
-        })
+        Ok(Self { step, time, positions: cloud.positions, velocities, densities })
     }
 }
 
@@ -113,10 +102,7 @@ pub struct Column {
 impl Column {
     /// A column of that name.
     pub fn new(name: impl Into<String>, values: Vec<f64>) -> Self {
-        Self {
-            name: name.into(),
-            values,
-        }
+        Self { name: name.into(), values }
     }
 }
 
@@ -135,11 +121,7 @@ impl Cloud {
                     "give every particle one value",
                 ));
             }
-            let twice = self
-                .columns
-                .iter()
-                .take(k)
-                .any(|column| column.name == *name);
+            let twice = self.columns.iter().take(k).any(|column| column.name == *name);
             if twice || name.is_empty() || taken.contains(&name.as_str()) {
                 return Err(Error::input(
                     topic,
@@ -149,10 +131,7 @@ impl Cloud {
                 ));
             }
         }
-        let flat = self
-            .positions
-            .iter()
-            .position(|row| dimension == 2 && row[2] != 0.0);
+        let flat = self.positions.iter().position(|row| dimension == 2 && row[2] != 0.0);
         flat.map_or(Ok(()), |k| {
             Err(Error::input(
                 format!("{topic}, particle {k}"),
@@ -169,9 +148,7 @@ impl Cloud {
         let stride = 8 * (3 + self.columns.len()) + 8;
         let mut data = Vec::with_capacity(stride * self.positions.len());
         for ((k, position), fraction) in (0_u32..).zip(&self.positions).zip(shade) {
-            position
-                .iter()
-                .for_each(|x| data.extend_from_slice(&x.to_le_bytes()));
+            position.iter().for_each(|x| data.extend_from_slice(&x.to_le_bytes()));
             for column in &self.columns {
                 data.extend_from_slice(&column.values[k as usize].to_le_bytes());
             }
@@ -203,48 +180,25 @@ impl Cloud {
         for field in &cloud.fields {
             let position = ["x", "y", "z"].contains(&field.name.as_str());
             if field.r#type() == NumericType::Float64 && !position {
-                let values = (0..rows.count)
-                    .map(|k| rows.at(k, field.offset as usize))
-                    .collect();
+                let values = (0..rows.count).map(|k| rows.at(k, field.offset as usize)).collect();
                 columns.push(Column::new(field.name.clone(), values));
             }
         }
-        Ok(Self {
-            step: cloud.simulation_step,
-            time: cloud.simulation_time,
-            positions,
-            columns,
-        })
+        Ok(Self { step: cloud.simulation_step, time: cloud.simulation_time, positions, columns })
     }
 }
 
 /// The fields of a row: x y z and the columns as FLOAT64, `id`, then the four colour bytes.
 fn layout<'a>(columns: impl Iterator<Item = &'a str>) -> Vec<PackedElementField> {
     use NumericType::{Float64, Uint8, Uint32};
-    let floats = ["x", "y", "z"]
-        .into_iter()
-        .chain(columns)
-        .map(|name| (name, Float64, 8));
-    let rest = [
-        ("id", Uint32, 4),
-        ("red", Uint8, 1),
-        ("green", Uint8, 1),
-        ("blue", Uint8, 1),
-    ];
+    let floats = ["x", "y", "z"].into_iter().chain(columns).map(|name| (name, Float64, 8));
+    let rest = [("id", Uint32, 4), ("red", Uint8, 1), ("green", Uint8, 1), ("blue", Uint8, 1)];
     let mut offset = 0;
     let mut place = |(name, kind, size): (&str, NumericType, u32)| {
         offset += size;
-        PackedElementField {
-            name: name.into(),
-            offset: offset - size,
-            r#type: kind.into(),
-        }
+        PackedElementField { name: name.into(), offset: offset - size, r#type: kind.into() }
     };
-    floats
-        .chain(rest)
-        .chain([("alpha", Uint8, 1)])
-        .map(&mut place)
-        .collect()
+    floats.chain(rest).chain([("alpha", Uint8, 1)]).map(&mut place).collect()
 }
 
 /// The rows of a cloud whose stride, fields and length have been found to agree.
@@ -265,21 +219,13 @@ impl<'a> Rows<'a> {
             let found = format!("{bytes} bytes in rows of {stride}");
             return refuse("a whole number of rows", found);
         }
-        let floats = cloud
-            .fields
-            .iter()
-            .filter(|field| field.r#type() == NumericType::Float64);
+        let floats = cloud.fields.iter().filter(|field| field.r#type() == NumericType::Float64);
         let ends = floats.clone().map(|field| field.offset as usize + 8).max();
         if 8 * floats.count() > stride || ends.is_some_and(|end| end > stride) {
             let found = format!("{} fields in rows of {stride} bytes", cloud.fields.len());
             return refuse("fields that fit into a row", found);
         }
-        Ok(Self {
-            cloud,
-            place,
-            stride,
-            count: bytes / stride,
-        })
+        Ok(Self { cloud, place, stride, count: bytes / stride })
     }
 
     /// Byte offset of a FLOAT64 field in its row.
@@ -298,11 +244,7 @@ impl<'a> Rows<'a> {
 
     fn at(&self, row: usize, offset: usize) -> f64 {
         let from = row * self.stride + offset;
-        let bytes = self
-            .cloud
-            .data
-            .get(from..from + 8)
-            .and_then(|bytes| bytes.try_into().ok());
+        let bytes = self.cloud.data.get(from..from + 8).and_then(|bytes| bytes.try_into().ok());
         bytes.map_or(f64::NAN, f64::from_le_bytes)
     }
 }

@@ -41,10 +41,7 @@ mod tests {
             0.2126 * r + 0.7152 * g + 0.0722 * b
         };
         let rising: Vec<f64> = (0..=100).map(|k| lightness(f64::from(k) / 100.0)).collect();
-        assert!(
-            rising.windows(2).all(|pair| pair[1] > pair[0] - 1.0),
-            "{rising:?}"
-        );
+        assert!(rising.windows(2).all(|pair| pair[1] > pair[0] - 1.0), "{rising:?}");
     }
 
     #[test]

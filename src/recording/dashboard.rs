@@ -54,9 +54,7 @@ pub fn show(recording: &Recording, name: &str, target: &Target) -> Result<()> {
     let content = layout::Content::of(recording)?;
     layout::send(&content, &stream).map_err(failed)?;
     entities::send(recording, &content, &stream, failed)?;
-    stream
-        .flush_blocking()
-        .map_err(|error| failure(target, &error))
+    stream.flush_blocking().map_err(|error| failure(target, &error))
 }
 
 fn open(name: &str, target: &Target) -> Result<RecordingStream> {
@@ -78,9 +76,7 @@ fn knock(target: &Target) -> Result<()> {
     let Target::Connect(url) = target else {
         return Ok(());
     };
-    let url = url
-        .as_deref()
-        .unwrap_or("rerun+http://127.0.0.1:9876/proxy");
+    let url = url.as_deref().unwrap_or("rerun+http://127.0.0.1:9876/proxy");
     let after_scheme = url.split_once("://").map_or(url, |(_, rest)| rest);
     let address = after_scheme.split('/').next().unwrap_or_default();
     let refused = |error: std::io::Error| failure(target, &error);

@@ -91,22 +91,14 @@ pub(super) struct Pose {
 impl Pose {
     /// No shift, no turn.
     pub(super) fn identity() -> Self {
-        Self {
-            position: Some(Vector3::default()),
-            orientation: Some(Quaternion::identity()),
-        }
+        Self { position: Some(Vector3::default()), orientation: Some(Quaternion::identity()) }
     }
 }
 
 impl Quaternion {
     /// No turn.
     pub(super) fn identity() -> Self {
-        Self {
-            x: 0.0,
-            y: 0.0,
-            z: 0.0,
-            w: 1.0,
-        }
+        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }
 }
 
@@ -238,11 +230,7 @@ impl TrainStep {
 
 /// log₁₀ of a magnitude, not below a floor; what is not a number stays so.
 pub(super) fn log10(value: f64, floor: f64) -> f64 {
-    if value.is_nan() {
-        value
-    } else {
-        value.abs().log10().max(floor)
-    }
+    if value.is_nan() { value } else { value.abs().log10().max(floor) }
 }
 
 /// `whirls.Conservation`: what a flow should keep, at one step (topic `/diag/conservation`).

@@ -85,17 +85,12 @@ impl Recording {
     pub fn cloud_topics(&self) -> Vec<String> {
         let is_cloud = |topic: &str| {
             let mut channels = self.source.channels.values();
-            channels
-                .find(|channel| channel.topic == topic)
-                .is_some_and(|channel| {
-                    let schema = self.source.schemas.get(&channel.schema);
-                    schema.is_some_and(|schema| schema.name == Schema::PointCloud.name())
-                })
+            channels.find(|channel| channel.topic == topic).is_some_and(|channel| {
+                let schema = self.source.schemas.get(&channel.schema);
+                schema.is_some_and(|schema| schema.name == Schema::PointCloud.name())
+            })
         };
-        self.counts()
-            .into_keys()
-            .filter(|topic| is_cloud(topic))
-            .collect()
+        self.counts().into_keys().filter(|topic| is_cloud(topic)).collect()
     }
 
     /// How many frames a flow has.
@@ -120,10 +115,7 @@ impl Recording {
     /// Simulation times of a topic's clouds, to the nanosecond; [`Cloud::time`] is exact.
     pub fn cloud_times(&self, topic: &str) -> Vec<f64> {
         let addresses = self.addresses(topic);
-        addresses
-            .iter()
-            .map(|address| clock::seconds(address.log_time))
-            .collect()
+        addresses.iter().map(|address| clock::seconds(address.log_time)).collect()
     }
 
     /// Cloud `k` of a topic, in the order of writing.
@@ -136,24 +128,15 @@ impl Recording {
         let Some(address) = addresses.get(k) else {
             let expected = format!("one of {} messages, counted from 0", addresses.len());
             let remedy = "ask for one that was recorded";
-            return Err(Error::input(
-                place,
-                expected,
-                format!("message {k}"),
-                remedy,
-            ));
+            return Err(Error::input(place, expected, format!("message {k}"), remedy));
         };
         let (mut met, mut found) = (0, None);
-        self.source.messages(
-            &self.source.chunks[address.chunk],
-            address.channel,
-            |data| {
-                if met == address.ordinal {
-                    found = Some(Cloud::decode(data, &place));
-                }
-                met += 1;
-            },
-        )?;
+        self.source.messages(&self.source.chunks[address.chunk], address.channel, |data| {
+            if met == address.ordinal {
+                found = Some(Cloud::decode(data, &place));
+            }
+            met += 1;
+        })?;
         found.unwrap_or_else(|| Err(Error::input(&place, "a message", "none", DAMAGED)))
     }
 
@@ -179,11 +162,8 @@ impl Recording {
     /// [`Error::Input`] if a line is damaged.
     pub fn logs(&self) -> Result<Vec<LogLine>> {
         let lines = decode_all::<Log>(&self.source, topic::LOG, &self.place)?;
-        let line = |log: Log| LogLine {
-            time: log.simulation_time,
-            level: log.level(),
-            text: log.message,
-        };
+        let line =
+            |log: Log| LogLine { time: log.simulation_time, level: log.level(), text: log.message };
         Ok(lines.into_iter().map(line).collect())
     }
 
@@ -191,18 +171,9 @@ impl Recording {
         let mut found = Vec::new();
         for (chunk, entry) in self.source.chunks.iter().enumerate() {
             for (&channel, times) in &entry.times {
-                if self
-                    .source
-                    .channels
-                    .get(&channel)
-                    .is_some_and(|known| known.topic == topic)
-                {
-                    let address = |(ordinal, &log_time)| Address {
-                        chunk,
-                        channel,
-                        ordinal,
-                        log_time,
-                    };
+                if self.source.channels.get(&channel).is_some_and(|known| known.topic == topic) {
+                    let address =
+                        |(ordinal, &log_time)| Address { chunk, channel, ordinal, log_time };
                     found.extend(times.iter().enumerate().map(address));
                 }
             }
@@ -214,11 +185,7 @@ impl Recording {
 /// The scene's text; empty if the file was cut before it.
 fn scene(source: &Source, place: &str) -> Result<String> {
     let scenes = decode_all::<Scene>(source, topic::SCENE, place)?;
-    Ok(scenes
-        .into_iter()
-        .next()
-        .map(|scene| scene.toml)
-        .unwrap_or_default())
+    Ok(scenes.into_iter().next().map(|scene| scene.toml).unwrap_or_default())
 }
 
 pub(super) fn no_metadata(place: &str) -> Error {
@@ -235,11 +202,7 @@ fn decode_all<M: Message + Default>(source: &Source, topic: &str, place: &str) -
     let mut decoded = Vec::new();
     for chunk in &source.chunks {
         for &channel in chunk.times.keys() {
-            if source
-                .channels
-                .get(&channel)
-                .is_some_and(|known| known.topic == topic)
-            {
+            if source.channels.get(&channel).is_some_and(|known| known.topic == topic) {
                 source.messages(chunk, channel, |data| decoded.push(M::decode(data)))?;
             }
         }

@@ -55,11 +55,7 @@ pub struct Recorder {
 
 /// What the writing thread is told to do.
 enum Order {
-    Cloud {
-        topic: String,
-        cloud: Cloud,
-        shade: Shade,
-    },
+    Cloud { topic: String, cloud: Cloud, shade: Shade },
     TrainStep(TrainStep),
     Conservation(Conservation),
     Log(Log),
@@ -200,11 +196,7 @@ impl Recorder {
                 "record fewer particles or columns",
             ));
         }
-        self.order(Order::Cloud {
-            topic: topic.into(),
-            cloud,
-            shade,
-        })
+        self.order(Order::Cloud { topic: topic.into(), cloud, shade })
     }
 
     fn order(&mut self, order: Order) -> Result<()> {
@@ -215,9 +207,7 @@ impl Recorder {
     /// Why the writing thread has stopped.
     fn failure(&mut self) -> Error {
         let stopped = std::io::Error::other("writing has stopped");
-        self.close()
-            .err()
-            .unwrap_or_else(|| Error::write(&self.path, stopped))
+        self.close().err().unwrap_or_else(|| Error::write(&self.path, stopped))
     }
 
     fn close(&mut self) -> Result<Summary> {
@@ -242,19 +232,10 @@ impl Drop for Recorder {
 fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
     for order in orders {
         match order {
-            Order::Cloud {
-                topic,
-                cloud,
-                shade,
-            } => write_cloud(&mut sink, &topic, &cloud, shade)?,
+            Order::Cloud { topic, cloud, shade } => write_cloud(&mut sink, &topic, &cloud, shade)?,
             Order::TrainStep(step) => {
                 let time = clock::ticks(step.iteration);
-                write(
-                    &mut sink,
-                    topic::TRAIN_STEP,
-                    (time, time),
-                    &step.encode_to_vec(),
-                )?;
+                write(&mut sink, topic::TRAIN_STEP, (time, time), &step.encode_to_vec())?;
             }
             Order::Conservation(kept) => {
                 let times = (clock::nanoseconds(kept.time), clock::ticks(kept.step));
@@ -277,13 +258,7 @@ fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
 
 fn write(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
     let (log_time, publish_time) = times;
-    sink.write(&Entry {
-        topic,
-        log_time,
-        publish_time,
-        data,
-        alone: false,
-    })
+    sink.write(&Entry { topic, log_time, publish_time, data, alone: false })
 }
 
 fn write_cloud(sink: &mut Sink, topic: &str, cloud: &Cloud, shade: Shade) -> Result<()> {
@@ -293,22 +268,12 @@ fn write_cloud(sink: &mut Sink, topic: &str, cloud: &Cloud, shade: Shade) -> Res
         Shade::Fractions(fractions) => cloud.encode(fractions.into_iter()),
         Shade::Speed(scale) => {
             let speed = |k: usize| {
-                let squares = cloud
-                    .columns
-                    .iter()
-                    .take(3)
-                    .map(|axis| axis.values[k].powi(2));
+                let squares = cloud.columns.iter().take(3).map(|axis| axis.values[k].powi(2));
                 squares.sum::<f64>().sqrt()
             };
             cloud.encode((0..cloud.positions.len()).map(|k| speed(k) / scale))
         }
     };
     let (log_time, publish_time) = (clock::nanoseconds(cloud.time), clock::ticks(cloud.step));
-    sink.write(&Entry {
-        topic,
-        log_time,
-        publish_time,
-        data: &data,
-        alone: true,
-    })
+    sink.write(&Entry { topic, log_time, publish_time, data: &data, alone: true })
 }

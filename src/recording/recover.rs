@@ -53,12 +53,7 @@ pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     copy.chunks(&source, &mut sink)?;
     let Summary { messages, bytes } = sink.finish()?;
     std::fs::rename(&unfinished, output).map_err(|error| Error::write(output, error))?;
-    Ok(Recovered {
-        messages,
-        chunks: source.chunks.len() as u64,
-        chunks_lost: copy.lost,
-        bytes,
-    })
+    Ok(Recovered { messages, chunks: source.chunks.len() as u64, chunks_lost: copy.lost, bytes })
 }
 
 /// The name of the output while it is written.

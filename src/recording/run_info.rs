@@ -8,13 +8,7 @@ use crate::{Error, Result};
 const FORMAT: &str = "1";
 
 /// Keys of the metadata record that are written here.
-const OWN_KEYS: [&str; 5] = [
-    "format",
-    "dimension",
-    "box_length",
-    "speed_scale",
-    "parameters",
-];
+const OWN_KEYS: [&str; 5] = ["format", "dimension", "box_length", "speed_scale", "parameters"];
 
 /// What is known of a run as a whole.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,32 +35,18 @@ impl RunInfo {
     fn check(&self) -> Result<()> {
         let place = "recording";
         let refuse = |expected: &str, found: String| {
-            Err(Error::input(
-                place,
-                expected,
-                found,
-                "correct it before recording",
-            ))
+            Err(Error::input(place, expected, found, "correct it before recording"))
         };
         if !matches!(self.dimension, 2 | 3) {
             return refuse("`dimension` 2 or 3", self.dimension.to_string());
         }
-        for (name, value) in [
-            ("box_length", self.box_length),
-            ("speed_scale", self.speed_scale),
-        ] {
+        for (name, value) in [("box_length", self.box_length), ("speed_scale", self.speed_scale)] {
             if !(value.is_finite() && value > 0.0) {
                 return refuse(&format!("a positive `{name}`"), value.to_string());
             }
         }
-        if let Some(key) = OWN_KEYS
-            .iter()
-            .find(|key| self.metadata.contains_key(**key))
-        {
-            return refuse(
-                &format!("metadata keys other than {OWN_KEYS:?}"),
-                format!("`{key}`"),
-            );
+        if let Some(key) = OWN_KEYS.iter().find(|key| self.metadata.contains_key(**key)) {
+            return refuse(&format!("metadata keys other than {OWN_KEYS:?}"), format!("`{key}`"));
         }
         Ok(())
     }
@@ -104,12 +84,7 @@ impl RunInfo {
         if format != FORMAT {
             let found = format!("version {format:?}");
             let remedy = "read it with the version of whirls that wrote it";
-            return Err(Error::input(
-                place,
-                format!("format version {FORMAT}"),
-                found,
-                remedy,
-            ));
+            return Err(Error::input(place, format!("format version {FORMAT}"), found, remedy));
         }
         let run = Self {
             scene_toml,
@@ -120,9 +95,9 @@ impl RunInfo {
             metadata: record,
         };
         run.check().map_err(|error| match error {
-            Error::Input {
-                expected, found, ..
-            } => Error::input(place, expected, found, super::DAMAGED),
+            Error::Input { expected, found, .. } => {
+                Error::input(place, expected, found, super::DAMAGED)
+            }
             other => other,
         })?;
         Ok(run)
@@ -142,23 +117,13 @@ fn number<T: std::str::FromStr>(
 ) -> Result<T> {
     let text = take(record, key, place)?;
     text.parse().map_err(|_| {
-        Error::input(
-            place,
-            format!("a number as `{key}`"),
-            format!("{text:?}"),
-            super::DAMAGED,
-        )
+        Error::input(place, format!("a number as `{key}`"), format!("{text:?}"), super::DAMAGED)
     })
 }
 
 fn names(record: &mut BTreeMap<String, String>, place: &str) -> Result<Vec<String>> {
     let text = take(record, "parameters", place)?;
     serde_json::from_str(&text).map_err(|_| {
-        Error::input(
-            place,
-            "`parameters` as a JSON list of names",
-            text,
-            super::DAMAGED,
-        )
+        Error::input(place, "`parameters` as a JSON list of names", text, super::DAMAGED)
     })
 }

@@ -48,11 +48,7 @@ impl Schema {
 
 fn timestamp_file() -> FileDescriptorProto {
     let fields = vec![one("seconds", 1, Type::Int64), one("nanos", 2, Type::Int32)];
-    file(
-        "google/protobuf/timestamp.proto",
-        "google.protobuf",
-        vec![message("Timestamp", fields)],
-    )
+    file("google/protobuf/timestamp.proto", "google.protobuf", vec![message("Timestamp", fields)])
 }
 
 fn foxglove_file(schema: Schema) -> FileDescriptorProto {
@@ -62,8 +58,7 @@ fn foxglove_file(schema: Schema) -> FileDescriptorProto {
         _ => ("foxglove/Log.proto", vec![log_message()]),
     };
     let mut file = file(path, "foxglove", messages);
-    file.dependency
-        .push("google/protobuf/timestamp.proto".into());
+    file.dependency.push("google/protobuf/timestamp.proto".into());
     file
 }
 
@@ -73,17 +68,12 @@ fn packed_element_field() -> DescriptorProto {
         vec![
             one("name", 1, Type::String),
             one("offset", 2, Type::Fixed32),
-            of(
-                one("type", 3, Type::Enum),
-                ".foxglove.PackedElementField.NumericType",
-            ),
+            of(one("type", 3, Type::Enum), ".foxglove.PackedElementField.NumericType"),
         ],
     );
     packed.enum_type.push(values(
         "NumericType",
-        &[
-            "UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64",
-        ],
+        &["UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"],
     ));
     packed
 }
@@ -94,10 +84,7 @@ fn cloud_messages() -> Vec<DescriptorProto> {
         one("frame_id", 2, Type::String),
         of(one("pose", 3, Type::Message), ".foxglove.Pose"),
         one("point_stride", 4, Type::Fixed32),
-        of(
-            many("fields", 5, Type::Message),
-            ".foxglove.PackedElementField",
-        ),
+        of(many("fields", 5, Type::Message), ".foxglove.PackedElementField"),
         one("data", 6, Type::Bytes),
         one("simulation_time", 1001, Type::Double),
         one("simulation_step", 1002, Type::Uint64),
@@ -123,10 +110,7 @@ fn transform_messages() -> Vec<DescriptorProto> {
         of(one("translation", 4, Type::Message), ".foxglove.Vector3"),
         of(one("rotation", 5, Type::Message), ".foxglove.Quaternion"),
     ];
-    let transforms = of(
-        many("transforms", 1, Type::Message),
-        ".foxglove.FrameTransform",
-    );
+    let transforms = of(many("transforms", 1, Type::Message), ".foxglove.FrameTransform");
     vec![
         message("FrameTransforms", vec![transforms]),
         message("FrameTransform", transform),
@@ -155,10 +139,7 @@ fn whirls_file(schema: Schema) -> FileDescriptorProto {
     let (path, message) = match schema {
         Schema::TrainStep => ("whirls/TrainStep.proto", train_step()),
         Schema::Conservation => ("whirls/Conservation.proto", conservation()),
-        _ => (
-            "whirls/Scene.proto",
-            message("Scene", vec![one("toml", 1, Type::String)]),
-        ),
+        _ => ("whirls/Scene.proto", message("Scene", vec![one("toml", 1, Type::String)])),
     };
     file(path, "whirls", vec![message])
 }
@@ -199,21 +180,11 @@ fn conservation() -> DescriptorProto {
 }
 
 fn vector3() -> DescriptorProto {
-    message(
-        "Vector3",
-        ["x", "y", "z"].into_iter().zip(1..).map(double).collect(),
-    )
+    message("Vector3", ["x", "y", "z"].into_iter().zip(1..).map(double).collect())
 }
 
 fn quaternion() -> DescriptorProto {
-    message(
-        "Quaternion",
-        ["x", "y", "z", "w"]
-            .into_iter()
-            .zip(1..)
-            .map(double)
-            .collect(),
-    )
+    message("Quaternion", ["x", "y", "z", "w"].into_iter().zip(1..).map(double).collect())
 }
 
 fn double((name, number): (&str, i32)) -> FieldDescriptorProto {
@@ -221,10 +192,7 @@ fn double((name, number): (&str, i32)) -> FieldDescriptorProto {
 }
 
 fn time_stamp(number: i32) -> FieldDescriptorProto {
-    of(
-        one("timestamp", number, Type::Message),
-        ".google.protobuf.Timestamp",
-    )
+    of(one("timestamp", number, Type::Message), ".google.protobuf.Timestamp")
 }
 
 fn file(path: &str, package: &str, messages: Vec<DescriptorProto>) -> FileDescriptorProto {
@@ -238,11 +206,7 @@ fn file(path: &str, package: &str, messages: Vec<DescriptorProto>) -> FileDescri
 }
 
 fn message(name: &str, fields: Vec<FieldDescriptorProto>) -> DescriptorProto {
-    DescriptorProto {
-        name: Some(name.into()),
-        field: fields,
-        ..Default::default()
-    }
+    DescriptorProto { name: Some(name.into()), field: fields, ..Default::default() }
 }
 
 fn values(name: &str, names: &[&str]) -> EnumDescriptorProto {
@@ -269,17 +233,11 @@ fn one(name: &str, number: i32, kind: Type) -> FieldDescriptorProto {
 }
 
 fn many(name: &str, number: i32, kind: Type) -> FieldDescriptorProto {
-    FieldDescriptorProto {
-        label: Some(Label::Repeated.into()),
-        ..one(name, number, kind)
-    }
+    FieldDescriptorProto { label: Some(Label::Repeated.into()), ..one(name, number, kind) }
 }
 
 fn of(field: FieldDescriptorProto, type_name: &str) -> FieldDescriptorProto {
-    FieldDescriptorProto {
-        type_name: Some(type_name.into()),
-        ..field
-    }
+    FieldDescriptorProto { type_name: Some(type_name.into()), ..field }
 }
 
 #[cfg(test)]

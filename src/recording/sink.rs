@@ -54,23 +54,13 @@ impl Sink {
             std::fs::create_dir_all(folder).map_err(|error| Error::write(folder, error))?;
         }
         let file = File::create(path).map_err(|error| Error::write(path, error))?;
-        let writer = options()
-            .create(BufWriter::new(file))
-            .map_err(|error| written(path, error))?;
+        let writer =
+            options().create(BufWriter::new(file)).map_err(|error| written(path, error))?;
         let channels = BTreeMap::new();
         let path = path.to_owned();
-        let mut sink = Self {
-            path,
-            writer,
-            channels,
-            open_bytes: 0,
-            messages: 0,
-        };
+        let mut sink = Self { path, writer, channels, open_bytes: 0, messages: 0 };
         sink.attempt(|writer| {
-            writer.write_metadata(&Metadata {
-                name: RUN.into(),
-                metadata: record,
-            })?;
+            writer.write_metadata(&Metadata { name: RUN.into(), metadata: record })?;
             writer.attach(&Attachment {
                 log_time: 0,
                 create_time: 0,
@@ -89,10 +79,7 @@ impl Sink {
         for (topic, schema) in topic::OF_EVERY_RUN {
             self.channel(topic, schema.name(), || schema.descriptors())?;
         }
-        let scene = Scene {
-            toml: scene_toml.into(),
-        }
-        .encode_to_vec();
+        let scene = Scene { toml: scene_toml.into() }.encode_to_vec();
         let root = FrameTransform {
             timestamp: Some(prost_types::Timestamp::default()),
             parent_frame_id: "tf#/".into(),
@@ -100,18 +87,9 @@ impl Sink {
             translation: Some(Vector3::default()),
             rotation: Some(Quaternion::identity()),
         };
-        let root = FrameTransforms {
-            transforms: vec![root],
-        }
-        .encode_to_vec();
+        let root = FrameTransforms { transforms: vec![root] }.encode_to_vec();
         for (topic, data) in [(topic::SCENE, &scene), (topic::TRANSFORM, &root)] {
-            self.write(&Entry {
-                topic,
-                log_time: 0,
-                publish_time: 0,
-                data,
-                alone: false,
-            })?;
+            self.write(&Entry { topic, log_time: 0, publish_time: 0, data, alone: false })?;
         }
         self.flush()
     }
@@ -135,8 +113,7 @@ impl Sink {
             let schema = writer.add_schema(schema, "protobuf", &descriptors)?;
             writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
         })?;
-        self.channels
-            .insert(topic.into(), Channel { id, messages: 0 });
+        self.channels.insert(topic.into(), Channel { id, messages: 0 });
         Ok(())
     }
 
@@ -159,18 +136,12 @@ impl Sink {
         self.attempt(|writer| writer.write_to_known_channel(&header, entry.data))?;
         self.messages += 1;
         self.open_bytes += entry.data.len();
-        if entry.alone || self.open_bytes > CHUNK_BYTES {
-            self.flush()
-        } else {
-            Ok(())
-        }
+        if entry.alone || self.open_bytes > CHUNK_BYTES { self.flush() } else { Ok(()) }
     }
 
     /// How many messages the topic has.
     pub(super) fn count(&self, topic: &str) -> u64 {
-        self.channels
-            .get(topic)
-            .map_or(0, |channel| channel.messages.into())
+        self.channels.get(topic).map_or(0, |channel| channel.messages.into())
     }
 
     /// Closes the chunk and hands everything to the operating system.
@@ -182,18 +153,10 @@ impl Sink {
     /// Completes the file.
     pub(super) fn finish(mut self) -> Result<Summary> {
         self.attempt(|writer| writer.finish().map(drop))?;
-        let Self {
-            path,
-            writer,
-            messages,
-            ..
-        } = self;
+        let Self { path, writer, messages, .. } = self;
         let file = writer.into_inner().into_inner();
         let file = file.map_err(|error| Error::write(&path, error.into_error()))?;
-        let bytes = file
-            .metadata()
-            .map_err(|error| Error::write(&path, error))?
-            .len();
+        let bytes = file.metadata().map_err(|error| Error::write(&path, error))?.len();
         Ok(Summary { bytes, messages })
     }
 

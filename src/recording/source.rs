@@ -56,12 +56,7 @@ impl Source {
         let mut file = File::open(path).map_err(failed)?;
         let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
         file.rewind().map_err(failed)?;
-        let mut walk = Walk {
-            file: BufReader::new(file),
-            path,
-            at: 0,
-            length,
-        };
+        let mut walk = Walk { file: BufReader::new(file), path, at: 0, length };
         walk.begin()?;
         let mut source = Self {
             path: path.to_owned(),
@@ -88,11 +83,7 @@ impl Source {
         match code {
             opcode::CHUNK => {
                 let times = BTreeMap::new();
-                self.chunks.push(Chunk {
-                    offset: walk.at,
-                    length,
-                    times,
-                });
+                self.chunks.push(Chunk { offset: walk.at, length, times });
                 walk.skip(length)
             }
             opcode::MESSAGE => Err(Error::input(
@@ -104,8 +95,7 @@ impl Source {
             opcode::MESSAGE_INDEX | opcode::METADATA | opcode::SCHEMA | opcode::CHANNEL => {
                 let place = walk.at;
                 let body = walk.body(length)?.unwrap_or_default();
-                self.read_record(code, &body)
-                    .ok_or_else(|| self.malformed(place))
+                self.read_record(code, &body).ok_or_else(|| self.malformed(place))
             }
             _ => walk.skip(length),
         }
@@ -154,10 +144,7 @@ impl Source {
 
     /// Whether all channels with messages in a chunk have been met.
     fn knows(&self, k: usize) -> bool {
-        self.chunks[k]
-            .times
-            .keys()
-            .all(|channel| self.channels.contains_key(channel))
+        self.chunks[k].times.keys().all(|channel| self.channels.contains_key(channel))
     }
 
     /// Reads channels, schemas and message times of a chunk from its records.
@@ -170,10 +157,7 @@ impl Source {
                 opcode::CHANNEL => channels.push(ChannelRecord::parse(body)?),
                 opcode::MESSAGE => {
                     let message = MessageRecord::parse(body)?;
-                    found
-                        .entry(message.channel)
-                        .or_default()
-                        .push(message.log_time);
+                    found.entry(message.channel).or_default().push(message.log_time);
                 }
                 _ => {}
             }
@@ -241,10 +225,7 @@ impl Source {
 
     /// The bytes that a chunk claims to unpack to, if that can be true of so many bytes in the file.
     fn plausible_size(&self, head: &ChunkHead<'_>, at: u64, bytes: usize) -> Result<usize> {
-        let allowed = EXPANSION
-            .saturating_mul(bytes)
-            .saturating_add(FREE_BYTES)
-            .min(LARGEST_CHUNK);
+        let allowed = EXPANSION.saturating_mul(bytes).saturating_add(FREE_BYTES).min(LARGEST_CHUNK);
         let claimed = usize::try_from(head.uncompressed_bytes).unwrap_or(usize::MAX);
         if claimed > allowed {
             let expected = format!("a chunk of at most {allowed} bytes");
@@ -261,18 +242,10 @@ impl Source {
         let failed = |error| Error::read(&self.path, error);
         let wanted = HEAD as u64 + chunk.length;
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        file.seek(SeekFrom::Start(chunk.offset - HEAD as u64))
-            .map_err(failed)?;
+        file.seek(SeekFrom::Start(chunk.offset - HEAD as u64)).map_err(failed)?;
         let mut bytes = Vec::new();
-        file.by_ref()
-            .take(wanted)
-            .read_to_end(&mut bytes)
-            .map_err(failed)?;
-        if bytes.len() as u64 == wanted {
-            Ok(bytes)
-        } else {
-            Err(self.malformed(chunk.offset))
-        }
+        file.by_ref().take(wanted).read_to_end(&mut bytes).map_err(failed)?;
+        if bytes.len() as u64 == wanted { Ok(bytes) } else { Err(self.malformed(chunk.offset)) }
     }
 
     fn place(&self, at: u64) -> String {
@@ -280,12 +253,7 @@ impl Source {
     }
 
     fn malformed(&self, at: u64) -> Error {
-        Error::input(
-            self.place(at),
-            "a record of MCAP",
-            "lengths that contradict",
-            DAMAGED,
-        )
+        Error::input(self.place(at), "a record of MCAP", "lengths that contradict", DAMAGED)
     }
 
     fn damaged(&self, at: u64, error: mcap::McapError) -> Error {
@@ -307,9 +275,8 @@ impl Walk<'_> {
         if found.as_deref() == Some(&MAGIC) {
             return Ok(());
         }
-        let found = found.map_or("a file of less than 8 bytes".into(), |bytes| {
-            format!("{bytes:02x?}")
-        });
+        let found =
+            found.map_or("a file of less than 8 bytes".into(), |bytes| format!("{bytes:02x?}"));
         let expected = format!("an MCAP file, beginning with {MAGIC:02x?}");
         let remedy = "give a file that `train` or `simulate` recorded";
         Err(Error::input(self.path.display(), expected, found, remedy))
@@ -333,8 +300,7 @@ impl Walk<'_> {
         }
         let mut bytes = Vec::new();
         let mut part = self.file.by_ref().take(count);
-        part.read_to_end(&mut bytes)
-            .map_err(|error| Error::read(self.path, error))?;
+        part.read_to_end(&mut bytes).map_err(|error| Error::read(self.path, error))?;
         self.at += bytes.len() as u64;
         Ok((bytes.len() as u64 == count).then_some(bytes))
     }
@@ -347,9 +313,6 @@ impl Walk<'_> {
             self.file.consume(count as usize);
             return Ok(());
         }
-        self.file
-            .seek(SeekFrom::Start(self.at))
-            .map(drop)
-            .map_err(failed)
+        self.file.seek(SeekFrom::Start(self.at)).map(drop).map_err(failed)
     }
 }

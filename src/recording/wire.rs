@@ -88,11 +88,7 @@ impl<'a> ChunkHead<'a> {
         let compression = bytes.block()?;
         let length = bytes.u64()?;
         let records = bytes.take(usize::try_from(length).ok()?)?;
-        Some(Self {
-            compression,
-            uncompressed_bytes,
-            records,
-        })
+        Some(Self { compression, uncompressed_bytes, records })
     }
 
     /// Whether uncompressed records fill the chunk exactly.
@@ -118,13 +114,7 @@ impl SchemaRecord {
     pub(super) fn parse(body: &[u8]) -> Option<(u16, Self)> {
         let mut bytes = Bytes(body);
         let (id, name, _encoding) = (bytes.u16()?, bytes.text()?, bytes.text()?);
-        Some((
-            id,
-            Self {
-                name,
-                data: bytes.block()?.to_vec(),
-            },
-        ))
+        Some((id, Self { name, data: bytes.block()?.to_vec() }))
     }
 }
 
@@ -156,12 +146,7 @@ impl<'a> MessageRecord<'a> {
         let mut bytes = Bytes(body);
         let (channel, _sequence) = (bytes.u16()?, bytes.u32()?);
         let (log_time, publish_time) = (bytes.u64()?, bytes.u64()?);
-        Some(Self {
-            channel,
-            log_time,
-            publish_time,
-            data: bytes.0,
-        })
+        Some(Self { channel, log_time, publish_time, data: bytes.0 })
     }
 }
 

@@ -79,15 +79,30 @@ impl Scene {
             (positive(t.courant), "time.courant", "a positive number", show(t.courant)),
             (t.dt.is_none_or(positive), "time.dt", "a positive time", format!("{:?}", t.dt)),
             (t.skin >= 0.0 && t.skin.is_finite(), "time.skin", "zero or more", show(t.skin)),
-            (i.jitter >= 0.0 && i.jitter.is_finite(), "initial.jitter", "zero or more", show(i.jitter)),
+            (
+                i.jitter >= 0.0 && i.jitter.is_finite(),
+                "initial.jitter",
+                "zero or more",
+                show(i.jitter),
+            ),
             (
                 i.velocity >= 0.0 && i.velocity.is_finite(),
                 "initial.velocity",
                 "zero or more",
                 show(i.velocity),
             ),
-            (positive(self.limits.courant), "limits.courant", "a positive number", show(self.limits.courant)),
-            (positive(self.limits.energy), "limits.energy", "a positive number", show(self.limits.energy)),
+            (
+                positive(self.limits.courant),
+                "limits.courant",
+                "a positive number",
+                show(self.limits.courant),
+            ),
+            (
+                positive(self.limits.energy),
+                "limits.energy",
+                "a positive number",
+                show(self.limits.energy),
+            ),
         ];
         match self.forcing {
             Forcing::None => {}

@@ -3,6 +3,10 @@
 //! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and pass through the linearised step, beside
 //! the flow itself: each system of `systems/` has its tangent in the same file.
 
+mod check;
+
+pub use check::{ComparedSlope, compare_with_differences};
+
 use serde::{Deserialize, Serialize};
 
 /// Which derivatives of the force a forward sensitivity keeps.

@@ -28,27 +28,16 @@ pub(super) fn send(
     for line in recording.logs()? {
         stream.set_duration_secs("time", line.time.max(0.0));
         let level = level_name(line.level);
-        stream
-            .log("log", &TextLog::new(line.text).with_level(level))
-            .map_err(failed)?;
+        stream.log("log", &TextLog::new(line.text).with_level(level)).map_err(failed)?;
     }
     stream.reset_time();
     for topic in &content.clouds {
         outline(stream, topic, run).map_err(failed)?;
     }
     // Side by side, so that a live viewer sees the two flows move together.
-    let counts: Vec<_> = content
-        .clouds
-        .iter()
-        .map(|t| recording.cloud_times(t).len())
-        .collect();
+    let counts: Vec<_> = content.clouds.iter().map(|t| recording.cloud_times(t).len()).collect();
     for k in 0..counts.iter().copied().max().unwrap_or(0) {
-        for (topic, _) in content
-            .clouds
-            .iter()
-            .zip(&counts)
-            .filter(|(_, count)| k < **count)
-        {
+        for (topic, _) in content.clouds.iter().zip(&counts).filter(|(_, count)| k < **count) {
             particles(stream, topic, &recording.cloud(topic, k)?, run).map_err(failed)?;
         }
     }
@@ -93,22 +82,14 @@ fn shades<'a>(topic: &str, cloud: &'a Cloud, run: &RunInfo) -> Box<dyn Iterator<
     let columns = cloud.columns.as_slice();
     if Flow::ALL.iter().any(|flow| flow.topic() == topic) && columns.len() > 2 {
         let speed = move |k: usize| {
-            columns
-                .iter()
-                .take(3)
-                .map(|axis| axis.values[k].powi(2))
-                .sum::<f64>()
-                .sqrt()
+            columns.iter().take(3).map(|axis| axis.values[k].powi(2)).sum::<f64>().sqrt()
         };
         return Box::new((0..cloud.positions.len()).map(move |k| speed(k) / scale));
     }
     let Some(first) = columns.first() else {
         return Box::new(std::iter::repeat_n(0.5, cloud.positions.len()));
     };
-    let largest = first
-        .values
-        .iter()
-        .fold(f64::MIN_POSITIVE, |top, x| top.max(x.abs()));
+    let largest = first.values.iter().fold(f64::MIN_POSITIVE, |top, x| top.max(x.abs()));
     Box::new(first.values.iter().map(move |x| 0.5 + 0.5 * x / largest))
 }
 
@@ -121,16 +102,8 @@ fn outline(stream: &RecordingStream, topic: &str, run: &RunInfo) -> RecordingStr
     let grey = rerun::Color::from_unmultiplied_rgba(r, g, b, a);
     let thin = rerun::Radius::new_ui_points(0.75);
     if run.dimension == 2 {
-        let corners = [
-            [0.0, 0.0],
-            [edge, 0.0],
-            [edge, edge],
-            [0.0, edge],
-            [0.0, 0.0],
-        ];
-        let square = LineStrips2D::new([corners])
-            .with_colors([grey])
-            .with_radii([thin]);
+        let corners = [[0.0, 0.0], [edge, 0.0], [edge, edge], [0.0, edge], [0.0, 0.0]];
+        let square = LineStrips2D::new([corners]).with_colors([grey]).with_radii([thin]);
         stream.log_static(path, &square)
     } else {
         let cube = Boxes3D::from_centers_and_half_sizes([[half; 3]], [[half; 3]]);
@@ -150,28 +123,17 @@ impl Curves {
     fn new(path: &'static str, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         let names: Vec<String> = names.into_iter().map(Into::into).collect();
         let colours = PALETTE.iter().copied().cycle().take(names.len()).collect();
-        Self {
-            path,
-            names,
-            colours,
-            width: 1.8,
-        }
+        Self { path, names, colours, width: 1.8 }
     }
 
     /// The same hues, darker and thinner: what is aimed at, behind what is there.
     fn faint(mut self) -> Self {
-        self.colours
-            .iter_mut()
-            .flatten()
-            .for_each(|part| *part = (f32::from(*part) * 0.6) as u8);
+        self.colours.iter_mut().flatten().for_each(|part| *part = (f32::from(*part) * 0.6) as u8);
         Self { width: 1.0, ..self }
     }
 
     fn begin(&self, stream: &RecordingStream) -> RecordingStreamResult<()> {
-        let colours = self
-            .colours
-            .iter()
-            .map(|&[r, g, b]| rerun::Color::from_rgb(r, g, b));
+        let colours = self.colours.iter().map(|&[r, g, b]| rerun::Color::from_rgb(r, g, b));
         let style = SeriesLines::new()
             .with_names(self.names.iter().map(String::as_str))
             .with_colors(colours)
@@ -220,16 +182,10 @@ fn learning(
     }
     for step in steps {
         stream.set_duration_secs("time", step.iteration as f64);
-        stream.set_time_sequence(
-            "iteration",
-            i64::try_from(step.iteration).unwrap_or(i64::MAX),
-        );
+        stream.set_time_sequence("iteration", i64::try_from(step.iteration).unwrap_or(i64::MAX));
         loss.add(stream, &[step.log10_loss])?;
         parameters.add(stream, &step.parameters)?;
-        let slopes = step
-            .gradients
-            .iter()
-            .map(|slope| log10(*slope, 2.0 * TrainStep::LOG10_FLOOR));
+        let slopes = step.gradients.iter().map(|slope| log10(*slope, 2.0 * TrainStep::LOG10_FLOOR));
         gradients.add(stream, &slopes.collect::<Vec<_>>())?;
         if !step.truth.is_empty() {
             truth.add(stream, &step.truth)?;
@@ -248,10 +204,7 @@ fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStr
     let names = ["drift", "by pressure", "by viscosity", "by forcing"];
     let momentum = Curves::new("diag/momentum", names);
     let energy = Curves::new("diag/energy", ["kinetic", "total"]);
-    let limits = Curves::new(
-        "diag/limits",
-        ["max Mach", "Courant", "max density deviation"],
-    );
+    let limits = Curves::new("diag/limits", ["max Mach", "Courant", "max density deviation"]);
     for curve in [&momentum, &energy, &limits] {
         curve.begin(stream)?;
     }
@@ -260,14 +213,10 @@ fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStr
         stream.set_duration_secs("time", now.time.max(0.0));
         stream.set_time_sequence("step", i64::try_from(now.step).unwrap_or(i64::MAX));
         let drift: Vec<f64> = now.momentum.iter().zip(&first).map(|(a, b)| a - b).collect();
-        let sums =
-            [&drift, &now.momentum_pressure, &now.momentum_viscosity, &now.momentum_forcing];
+        let sums = [&drift, &now.momentum_pressure, &now.momentum_viscosity, &now.momentum_forcing];
         momentum.add(stream, &sums.map(|sum| log10_norm(sum)))?;
         energy.add(stream, &[now.kinetic_energy, now.total_energy])?;
-        limits.add(
-            stream,
-            &[now.max_mach, now.courant, now.max_density_deviation],
-        )?;
+        limits.add(stream, &[now.max_mach, now.courant, now.max_density_deviation])?;
     }
     Ok(())
 }

@@ -49,10 +49,8 @@ impl Content {
         let mut clouds = recording.cloud_topics();
         let rank = |topic: &String| Flow::ALL.iter().position(|flow| flow.topic() == topic);
         clouds.sort_by_key(|topic| rank(topic).unwrap_or(Flow::ALL.len()));
-        let times: Vec<f64> = clouds
-            .iter()
-            .flat_map(|topic| recording.cloud_times(topic))
-            .collect();
+        let times: Vec<f64> =
+            clouds.iter().flat_map(|topic| recording.cloud_times(topic)).collect();
         let start = times.iter().copied().fold(f64::INFINITY, f64::min);
         Ok(Self {
             dimension: recording.run().dimension,
@@ -69,27 +67,15 @@ impl Content {
 
 /// Names of the parameters that are plotted.
 pub(super) fn shown_parameters(steps: &[TrainStep], run: &RunInfo) -> Vec<String> {
-    let count = steps
-        .first()
-        .map_or(0, |step| step.parameters.len())
-        .min(MOST_CURVES);
-    let name = |k: usize| {
-        run.parameters
-            .get(k)
-            .cloned()
-            .unwrap_or(format!("parameter {k}"))
-    };
+    let count = steps.first().map_or(0, |step| step.parameters.len()).min(MOST_CURVES);
+    let name = |k: usize| run.parameters.get(k).cloned().unwrap_or(format!("parameter {k}"));
     (0..count).map(name).collect()
 }
 
 /// Sends the layout to the viewer or the file.
 pub(super) fn send(content: &Content, stream: &RecordingStream) -> RecordingStreamResult<()> {
     let (mut rows, mut shares, mut settings) = (Vec::new(), Vec::new(), Vec::new());
-    for (share, row) in [
-        (5.0, flows(content)),
-        (3.0, learning(content)),
-        (2.2, keeping(content)),
-    ] {
+    for (share, row) in [(5.0, flows(content)), (3.0, learning(content)), (2.2, keeping(content))] {
         if row.is_empty() {
             continue;
         }
@@ -148,11 +134,7 @@ fn learning(content: &Content) -> Vec<Panel> {
     }
     let loss = Panel::plot("log10 loss, by iteration", &["/train/log10_loss"], None);
     let name = "log10 of |gradient|, by iteration";
-    let gradient = Panel::plot(
-        name,
-        &["/train/log10_gradients"],
-        Some(Corner2D::LeftBottom),
-    );
+    let gradient = Panel::plot(name, &["/train/log10_gradients"], Some(Corner2D::LeftBottom));
     if !content.errors {
         let legend = Some(Corner2D::RightTop);
         let parameters = Panel::plot("parameters, by iteration", &["/train/parameters"], legend);

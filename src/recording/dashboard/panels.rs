@@ -27,16 +27,12 @@ pub(super) type Setting = (String, Box<dyn AsComponents>);
 
 impl Panel {
     fn new(view: impl Into<ContainerLike>) -> Self {
-        Self {
-            view: view.into(),
-            settings: Vec::new(),
-        }
+        Self { view: view.into(), settings: Vec::new() }
     }
 
     fn with(mut self, name: &str, value: impl AsComponents + 'static) -> Self {
         if let ContainerLike::View(view) = &self.view {
-            self.settings
-                .push((format!("{}/{name}", view.blueprint_path()), Box::new(value)));
+            self.settings.push((format!("{}/{name}", view.blueprint_path()), Box::new(value)));
         }
         self
     }
@@ -51,17 +47,13 @@ impl Panel {
 
     /// A plane of particles.
     pub(super) fn plane(name: &str, origin: &str, contents: [&str; 2]) -> Self {
-        let view = Spatial2DView::new(name)
-            .with_origin(origin)
-            .with_contents(contents);
+        let view = Spatial2DView::new(name).with_origin(origin).with_contents(contents);
         Self::new(view).with("Background", background())
     }
 
     /// A box of particles of that edge, seen from a corner.
     pub(super) fn volume(name: &str, origin: &str, contents: [&str; 2], edge: f32) -> Self {
-        let view = Spatial3DView::new(name)
-            .with_origin(origin)
-            .with_contents(contents);
+        let view = Spatial3DView::new(name).with_origin(origin).with_contents(contents);
         let eye = EyeControls3D::new()
             .with_kind(Eye3DKind::Orbital)
             .with_position([1.67, -0.87, 1.12].map(|part: f32| part * edge))
@@ -75,14 +67,8 @@ impl Panel {
 
     /// The log: level and text.
     pub(super) fn log(name: &str, entity: &str) -> Self {
-        let column = |kind| TextLogColumn {
-            visible: true.into(),
-            kind,
-        };
-        let columns = [
-            column(TextLogColumnKind::LogLevel),
-            column(TextLogColumnKind::Body),
-        ];
+        let column = |kind| TextLogColumn { visible: true.into(), kind };
+        let columns = [column(TextLogColumnKind::LogLevel), column(TextLogColumnKind::Body)];
         let columns = TextLogColumns::new().with_text_log_columns(columns);
         Self::new(TextLogView::new(name).with_contents([entity])).with("TextLogColumns", columns)
     }
@@ -103,10 +89,7 @@ pub(super) fn send(
     settings: &[Setting],
     stream: &RecordingStream,
 ) -> RecordingStreamResult<()> {
-    let Some(application) = stream
-        .store_info()
-        .map(|info| info.application_id().clone())
-    else {
+    let Some(application) = stream.store_info().map(|info| info.application_id().clone()) else {
         return Ok(());
     };
     let (kept, messages) = RecordingStreamBuilder::new(application).memory()?;

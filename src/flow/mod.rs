@@ -1,89 +1,30 @@
 //! One World is one flow: a scene becomes particles, resources and a schedule.
 
+mod build;
+mod state;
+
+pub use state::{State, Stream, stream};
+
 use crate::error::{Error, Result};
 use crate::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
 use crate::models::{Model, Parameter, Parameters, Physics};
-use crate::scalar::{Lanes, WIDTH};
-use crate::scene::{Forcing, KernelName, Scene};
+use crate::scalar::WIDTH;
+use crate::scene::{KernelName, Scene};
 use crate::sensitivity::Coupling;
-use crate::space::PeriodicBox;
 use crate::statistics::{self, MomentumRates};
 use crate::systems::acceleration::Law;
-use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
 use crate::systems::loss::{LossSum, Observations};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Density, Identity, Position,
-    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocitySensitivity,
+    Acceleration, AccelerationSensitivity, Cloud, Density, Identity, Position, PositionSensitivity,
+    SensitivityCloud, Velocity, VelocitySensitivity,
 };
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::Failure;
-use crate::systems::{self, Needs, Stirring};
-use crate::packed::PackedSensitivity;
+use crate::systems::{self, Needs};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
-
-/// Positions and velocities of all particles at one time, particle `k` in row `k`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct State<const D: usize> {
-    /// Time.
-    pub time: f64,
-    /// `r`, inside the box.
-    pub positions: Vec<Vector<f64, D>>,
-    /// `v`.
-    pub velocities: Vec<Vector<f64, D>>,
-}
-
-impl<const D: usize> State<D> {
-    /// The lattice of a scene, first particle in the corner, shaken and set in motion by the
-    /// scene's seed.
-    pub fn initial(scene: &Scene) -> Self {
-        let per_side = scene.fluid.particles_per_side;
-        let spacing = scene.fluid.box_length / per_side as f64;
-        let space = PeriodicBox { length: scene.fluid.box_length };
-        let mut generator = stream(scene.seed, Stream::Initial);
-        let jitter = scene.initial.jitter;
-        let mut state = Self::default();
-        for mut index in 0..scene.particles() {
-            let corner = Vector::<f64, D>(std::array::from_fn(|_| {
-                let along = index % per_side;
-                index /= per_side;
-                along as f64 * spacing
-            }));
-            let mut shaken = corner;
-            for x in &mut shaken.0 {
-                *x += jitter * (2.0 * generator.random::<f64>() - 1.0);
-            }
-            state.positions.push(space.wrap(shaken));
-        }
-        let width = scene.initial.velocity;
-        let mut component = || width * generator.sample::<f64, _>(StandardNormal);
-        for _ in 0..scene.particles() {
-            state.velocities.push(Vector(std::array::from_fn(|_| component())));
-        }
-        state
-    }
-}
-
-/// Independent streams of random numbers of one seed.
-#[derive(Clone, Copy, Debug)]
-pub enum Stream {
-    /// Positions and velocities of the initial state.
-    Initial = 0,
-    /// The guess that a search starts from.
-    Guess = 1,
-}
-
-/// A portable generator: the same numbers on every machine.
-pub fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
-    let mut generator = ChaCha8Rng::seed_from_u64(seed);
-    // The stochastic forcing numbers its streams from zero with the time; these stay out of its way.
-    generator.set_stream(u64::MAX - stream as u64);
-    generator
-}
+use build::{insert_forcing, insert_motion, no_change, spawn_particles, spawn_sensitivities};
 
 /// What a flow is differentiated by.
 #[derive(Clone, Debug, PartialEq)]
@@ -189,7 +130,9 @@ impl<const D: usize> Flow<D> {
             advance: systems::advance::<M, D>(needs),
             started: false,
             law: Erased {
-                set: |world, parameters| world.resource_mut::<Law<M>>().0.set_parameters(parameters),
+                set: |world, parameters| {
+                    world.resource_mut::<Law<M>>().0.set_parameters(parameters)
+                },
                 get: |world| *world.resource::<Law<M>>().0.parameters(),
                 mass: |world| world.resource::<Law<M>>().0.mass(),
                 smoothing_length: |world| world.resource::<Law<M>>().0.smoothing().h,
@@ -236,7 +179,8 @@ impl<const D: usize> Flow<D> {
     /// bits as a new flow from that state.
     pub fn reset(&mut self, state: &State<D>) {
         let mut rows =
-            self.world.query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
+            self.world
+                .query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
         for (id, mut r, mut v, mut a) in rows.iter_mut(&mut self.world) {
             r.0 = state.positions[id.0 as usize];
             v.0 = state.velocities[id.0 as usize];
@@ -347,10 +291,18 @@ impl<const D: usize> Flow<D> {
         }
         let short = |name: String| {
             let path = name.split('<').next().unwrap_or_default().to_owned();
-            path.rsplit("::").take(2).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("::")
+            path.rsplit("::")
+                .take(2)
+                .collect::<Vec<_>>()
+                .into_iter()
+                .rev()
+                .collect::<Vec<_>>()
+                .join("::")
         };
         let systems = self.advance.systems();
-        systems.map(|all| all.map(|(_, s)| short(s.name().to_string())).collect()).unwrap_or_default()
+        systems
+            .map(|all| all.map(|(_, s)| short(s.name().to_string())).collect())
+            .unwrap_or_default()
     }
 
     /// Steps completed.
@@ -410,75 +362,4 @@ impl<const D: usize> Flow<D> {
             observations.window = window.min(observations.frames.len());
         }
     }
-}
-
-fn no_change<const D: usize>() -> Vector<Lanes, D> {
-    Vector([Lanes::ZERO; D])
-}
-
-fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
-    match scene.forcing {
-        Forcing::None => Stirring::None,
-        Forcing::Deterministic { power, .. } => {
-            world.insert_resource(DeterministicForcing::new(power));
-            Stirring::Deterministic
-        }
-        Forcing::Stochastic { interval, strength } => {
-            world.insert_resource(StochasticForcing::new(scene.seed, interval, strength));
-            Stirring::Stochastic
-        }
-    }
-}
-
-fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
-    let space = PeriodicBox { length: scene.fluid.box_length };
-    let h = scene.fluid.smoothing_length;
-    world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
-    world.insert_resource(Clock::default());
-    world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
-    world.insert_resource(Cloud::<D>::default());
-    world.insert_resource(scene.limits);
-    world.insert_resource(Failure::default());
-}
-
-fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>) {
-    let rows = state.positions.iter().zip(&state.velocities).enumerate();
-    let particles: Vec<_> = rows
-        .map(|(id, (&r, &v))| {
-            let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
-            (Identity(id as u32), moving, Density::default())
-        })
-        .collect();
-    world.spawn_batch(particles);
-    world.resource_mut::<Clock>().start = state.time;
-}
-
-fn spawn_sensitivities<const D: usize>(
-    world: &mut World,
-    count: usize,
-    differentiation: &Differentiation,
-) {
-    let blocks = differentiation.parameters.len().div_ceil(WIDTH);
-    let mut cloud = SensitivityCloud::<D> { blocks: Vec::new(), coupling: differentiation.coupling };
-    for block in 0..blocks {
-        let rows = (0..count as u32).map(move |particle| {
-            let zero = no_change::<D>();
-            let of = BlockOf { particle, block: block as u32 };
-            let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
-            (of, moving, AccelerationSensitivity(zero))
-        });
-        world.spawn_batch(rows);
-        let mut directions = [Lanes::ZERO; Parameter::COUNT];
-        let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
-        for (lane, &parameter) in learned.enumerate() {
-            directions[parameter as usize] = Lanes::unit(lane);
-        }
-        cloud.blocks.push(SensitivityBlock {
-            packed: vec![PackedSensitivity::ZERO; count],
-            density: vec![Lanes::ZERO; count],
-            acceleration: vec![no_change(); count],
-            directions,
-        });
-    }
-    world.insert_resource(cloud);
 }

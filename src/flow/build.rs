@@ -1,0 +1,91 @@
+//! From a scene to a World: resources, particles, sensitivity blocks.
+
+use super::{Differentiation, State};
+use crate::models::Parameter;
+use crate::packed::PackedSensitivity;
+use crate::scalar::{Lanes, WIDTH};
+use crate::scene::{Forcing, Scene};
+use crate::space::PeriodicBox;
+use crate::systems::Stirring;
+use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::{
+    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Density, Identity, Position,
+    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocitySensitivity,
+};
+use crate::systems::verlet::{Clock, Integrator};
+use crate::systems::watch::Failure;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+
+pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
+    Vector([Lanes::ZERO; D])
+}
+
+pub(super) fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
+    match scene.forcing {
+        Forcing::None => Stirring::None,
+        Forcing::Deterministic { power, .. } => {
+            world.insert_resource(DeterministicForcing::new(power));
+            Stirring::Deterministic
+        }
+        Forcing::Stochastic { interval, strength } => {
+            world.insert_resource(StochasticForcing::new(scene.seed, interval, strength));
+            Stirring::Stochastic
+        }
+    }
+}
+
+pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
+    let space = PeriodicBox { length: scene.fluid.box_length };
+    let h = scene.fluid.smoothing_length;
+    world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
+    world.insert_resource(Clock::default());
+    world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
+    world.insert_resource(Cloud::<D>::default());
+    world.insert_resource(scene.limits);
+    world.insert_resource(Failure::default());
+}
+
+pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>) {
+    let rows = state.positions.iter().zip(&state.velocities).enumerate();
+    let particles: Vec<_> = rows
+        .map(|(id, (&r, &v))| {
+            let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
+            (Identity(id as u32), moving, Density::default())
+        })
+        .collect();
+    world.spawn_batch(particles);
+    world.resource_mut::<Clock>().start = state.time;
+}
+
+pub(super) fn spawn_sensitivities<const D: usize>(
+    world: &mut World,
+    count: usize,
+    differentiation: &Differentiation,
+) {
+    let blocks = differentiation.parameters.len().div_ceil(WIDTH);
+    let mut cloud =
+        SensitivityCloud::<D> { blocks: Vec::new(), coupling: differentiation.coupling };
+    for block in 0..blocks {
+        let rows = (0..count as u32).map(move |particle| {
+            let zero = no_change::<D>();
+            let of = BlockOf { particle, block: block as u32 };
+            let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
+            (of, moving, AccelerationSensitivity(zero))
+        });
+        world.spawn_batch(rows);
+        let mut directions = [Lanes::ZERO; Parameter::COUNT];
+        let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
+        for (lane, &parameter) in learned.enumerate() {
+            directions[parameter as usize] = Lanes::unit(lane);
+        }
+        cloud.blocks.push(SensitivityBlock {
+            packed: vec![PackedSensitivity::ZERO; count],
+            density: vec![Lanes::ZERO; count],
+            acceleration: vec![no_change(); count],
+            directions,
+        });
+    }
+    world.insert_resource(cloud);
+}

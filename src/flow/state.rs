@@ -1,0 +1,67 @@
+//! The state of a flow, and where it starts.
+
+use crate::scene::Scene;
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Positions and velocities of all particles at one time, particle `k` in row `k`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State<const D: usize> {
+    /// Time.
+    pub time: f64,
+    /// `r`, inside the box.
+    pub positions: Vec<Vector<f64, D>>,
+    /// `v`.
+    pub velocities: Vec<Vector<f64, D>>,
+}
+
+impl<const D: usize> State<D> {
+    /// The lattice of a scene, first particle in the corner, shaken and set in motion by the
+    /// scene's seed.
+    pub fn initial(scene: &Scene) -> Self {
+        let per_side = scene.fluid.particles_per_side;
+        let spacing = scene.fluid.box_length / per_side as f64;
+        let space = PeriodicBox { length: scene.fluid.box_length };
+        let mut generator = stream(scene.seed, Stream::Initial);
+        let jitter = scene.initial.jitter;
+        let mut state = Self::default();
+        for mut index in 0..scene.particles() {
+            let corner = Vector::<f64, D>(std::array::from_fn(|_| {
+                let along = index % per_side;
+                index /= per_side;
+                along as f64 * spacing
+            }));
+            let mut shaken = corner;
+            for x in &mut shaken.0 {
+                *x += jitter * (2.0 * generator.random::<f64>() - 1.0);
+            }
+            state.positions.push(space.wrap(shaken));
+        }
+        let width = scene.initial.velocity;
+        let mut component = || width * generator.sample::<f64, _>(StandardNormal);
+        for _ in 0..scene.particles() {
+            state.velocities.push(Vector(std::array::from_fn(|_| component())));
+        }
+        state
+    }
+}
+
+/// Independent streams of random numbers of one seed.
+#[derive(Clone, Copy, Debug)]
+pub enum Stream {
+    /// Positions and velocities of the initial state.
+    Initial = 0,
+    /// The guess that a search starts from.
+    Guess = 1,
+}
+
+/// A portable generator: the same numbers on every machine.
+pub fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    // The stochastic forcing numbers its streams from zero with the time; these stay out of its way.
+    generator.set_stream(u64::MAX - stream as u64);
+    generator
+}
