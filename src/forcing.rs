@@ -84,6 +84,33 @@ impl EnergyInjection {
         InjectionTangent { mean: sum.map(|x| x * each), rate: change }
     }
 
+    /// What the law passes back from `∂L/∂f` (`adjoint`, same order as `velocities`): each particle's
+    /// `∂L/∂v` is added to `velocity`, and `∂L/∂θ` is returned.
+    pub fn pullback<const D: usize>(
+        &self,
+        velocities: impl Iterator<Item = [f64; 3]> + Clone,
+        adjoint: impl Iterator<Item = [f64; 3]> + Clone,
+        velocity: &mut [Vector<f64, D>],
+    ) -> f64 {
+        if self.energy <= 0.0 {
+            return 0.0;
+        }
+        let each = 1.0 / velocity.len() as f64;
+        let (mut mean, mut by_rate) = (Vector::<f64, D>::zero(), 0.0);
+        for (v, a) in velocities.clone().zip(adjoint.clone()) {
+            mean += Vector::from_3d(a) * each;
+            by_rate += (0..D).map(|axis| a[axis] * (v[axis] - self.mean[axis])).sum::<f64>();
+        }
+        let by_energy = -by_rate * self.rate / self.energy * (2.0 * self.share * each);
+        for ((v, a), out) in velocities.zip(adjoint).zip(velocity) {
+            for axis in 0..D {
+                out[axis] +=
+                    self.rate * (a[axis] - mean[axis]) + by_energy * (v[axis] - self.origin[axis]);
+            }
+        }
+        by_rate / self.energy
+    }
+
     /// `(v − origin)·δv`, one particle's part of the work that `tangent` wants.
     pub fn work<const D: usize>(&self, velocity: [f64; 3], change: Vector<Lanes, D>) -> Lanes {
         let mut work = Lanes::ZERO;

@@ -46,3 +46,18 @@ impl<const D: usize> PackedSensitivity<D> {
         stress: Lanes::ZERO,
     };
 }
+
+/// What the adjoint of a force evaluation gathers from a neighbour.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub struct PackedAdjoint {
+    /// `∂L/∂F`, third component zero in 2D.
+    pub force: [f64; 3],
+    /// `∂L/∂ρ`.
+    pub density: f64,
+}
+
+impl PackedAdjoint {
+    /// No influence on the loss.
+    pub const ZERO: Self = Self { force: [0.0; 3], density: 0.0 };
+}

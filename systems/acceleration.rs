@@ -1,11 +1,11 @@
-//! The pair forces, Eq. (7), and their tangent.
+//! The pair forces, Eq. (7), with their tangent and their pullback.
 
 use super::neighbours::{CHUNK, Chunk, Neighbours};
-use super::pairs::Batch;
-use super::particles::{Acceleration, Cloud, SensitivityBlock, SensitivityCloud};
+use super::pairs::{Batch, gather};
+use super::particles::{Acceleration, AdjointCloud, Cloud, SensitivityBlock, SensitivityCloud};
 use crate::models::{Model, Parameter, Strength};
-use crate::packed::{Packed, PackedSensitivity};
-use crate::scalar::{Lanes, WIDTH};
+use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
+use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -253,5 +253,95 @@ pub fn accelerate_tangent<M: Model<D>, const D: usize>(
             });
         });
         block.acceleration = acceleration;
+    }
+}
+
+/// What one chunk of particles passes back through the pair forces.
+struct ForcePullback<'a, M, const D: usize> {
+    packed: &'a [Packed],
+    adjoint: &'a [PackedAdjoint],
+    chunk: &'a Chunk,
+    space: PeriodicBox,
+    model: &'a M,
+    position: &'a mut [Vector<f64, D>],
+    velocity: &'a mut [Vector<f64, D>],
+    /// `(∂L/∂A, ∂L/∂ρ)` per particle.
+    scalars: &'a mut [(f64, f64)],
+}
+
+impl<M: Model<D>, const D: usize> NullaryFnOnce for ForcePullback<'_, M, D> {
+    /// `∂L/∂(c, α, β)` at fixed stress.
+    type Output = [f64; 3];
+
+    /// A pair's two forces are opposite, so its part of the loss is `Λ·s rᵢⱼ` with `Λ = λᵢ − λⱼ`, from
+    /// which each particle takes its own derivatives: `s Λ + (Λ·rᵢⱼ) ∂s/∂rᵢⱼ` and so on.
+    #[inline(always)]
+    fn call(self) -> [f64; 3] {
+        let mut by_parameter = [Lanes::ZERO; 3];
+        for k in 0..self.chunk.len() {
+            let slot = self.chunk.first + k;
+            let mut position = Vector::<Lanes, D>::zero();
+            let mut velocity = Vector::<Lanes, D>::zero();
+            let (mut stress, mut density) = (Lanes::ZERO, Lanes::ZERO);
+            for slots in self.chunk.neighbours(k) {
+                let batch = Batch::<D>::read(self.packed, &self.packed[slot], slots, self.space);
+                let s = self.model.strength_gradient(&batch.pair, batch.stresses);
+                let mut across = Vector::<Lanes, D>::zero();
+                for axis in 0..D {
+                    let there = gather(self.adjoint, slots, |a| a.force[axis]);
+                    across[axis] = Lanes::of(self.adjoint[slot].force[axis]) - there;
+                }
+                let along = across.dot(batch.separation);
+                let (by_r, by_v) = (along * s.by_separation, along * s.by_approach);
+                position += across * s.value + batch.separation * by_r + batch.velocity * by_v;
+                velocity += batch.separation * by_v;
+                stress += along * s.by_stress;
+                density += along * s.by_density;
+                for (sum, slope) in by_parameter.iter_mut().zip(&s.by_parameter) {
+                    *sum += along * *slope;
+                }
+            }
+            for axis in 0..D {
+                self.position[k][axis] += position[axis].sum();
+                self.velocity[k][axis] += velocity[axis].sum();
+            }
+            self.scalars[k] = (stress.sum(), density.sum());
+        }
+        // Every pair was met from both ends.
+        [by_parameter[0].sum() * 0.5, by_parameter[1].sum() * 0.5, by_parameter[2].sum() * 0.5]
+    }
+}
+
+/// System: the pullback of [`accelerate`].
+pub fn accelerate_pullback<M: Model<D>, const D: usize>(
+    neighbours: Res<Neighbours<D>>,
+    law: Res<Law<M>>,
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let AdjointCloud { packed: lines, position, velocity, stress, parameters } = &mut *adjoint;
+    let mut scalars = vec![(0.0, 0.0); cloud.len()];
+    let (model, packed, space, adjoint) = (&law.0, &cloud.packed, neighbours.space, &*lines);
+    let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
+    let places = places.zip(scalars.par_chunks_mut(CHUNK));
+    let pass = |(chunk, ((position, velocity), scalars))| {
+        Arch::new().dispatch(ForcePullback {
+            packed,
+            adjoint,
+            chunk,
+            space,
+            model,
+            position,
+            velocity,
+            scalars,
+        })
+    };
+    let sums: Vec<[f64; 3]> = neighbours.chunks.par_iter().zip(places).map(pass).collect();
+    for sum in sums {
+        (0..3).for_each(|k| parameters[k] += sum[k]);
+    }
+    for ((line, stress), (by_stress, by_density)) in lines.iter_mut().zip(stress).zip(scalars) {
+        *stress = by_stress;
+        line.density = by_density;
     }
 }

@@ -1,11 +1,11 @@
-//! Density by summation, Eq. (17), and its tangent.
+//! Density by summation, Eq. (17), with its tangent and its pullback.
 
 use super::acceleration::Law;
 use super::neighbours::{CHUNK, Chunk, Neighbours};
-use super::pairs::separation;
-use super::particles::{Cloud, Density, SensitivityCloud};
+use super::pairs::{gather, separation};
+use super::particles::{AdjointCloud, Cloud, Density, SensitivityCloud};
 use crate::models::{Model, Parameter};
-use crate::packed::{Packed, PackedSensitivity};
+use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
 use crate::scalar::{Lanes, Scalar};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
@@ -148,4 +148,80 @@ pub fn sum_density_tangent<M: Model<D>, const D: usize>(
             }
         });
     }
+}
+
+/// `∂L/∂rᵢ += Σⱼ m G rᵢⱼ (∂L/∂ρᵢ + ∂L/∂ρⱼ)` over one chunk of particles.
+struct DensityPullback<'a, M, const D: usize> {
+    packed: &'a [Packed],
+    adjoint: &'a [PackedAdjoint],
+    chunk: &'a Chunk,
+    space: PeriodicBox,
+    model: &'a M,
+    position: &'a mut [Vector<f64, D>],
+}
+
+impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityPullback<'_, M, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let smoothing = self.model.smoothing();
+        for (k, position) in self.position.iter_mut().enumerate() {
+            let slot = self.chunk.first + k;
+            let mut sum = Vector::<Lanes, D>::zero();
+            for slots in self.chunk.neighbours(k) {
+                let r = separation::<D>(self.packed, &self.packed[slot], slots, self.space);
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.model.mass();
+                let both = gather(self.adjoint, slots, |a| a.density) + self.adjoint[slot].density;
+                sum += r * (pull * both);
+            }
+            for axis in 0..D {
+                position[axis] += sum[axis].sum();
+            }
+        }
+    }
+}
+
+/// System: the pullback of [`sum_density`]: `∂L/∂A` and `∂L/∂ρ` become `∂L/∂r` and parameters.
+pub fn sum_density_pullback<M: Model<D>, const D: usize>(
+    neighbours: Res<Neighbours<D>>,
+    law: Res<Law<M>>,
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let AdjointCloud { packed: lines, position, stress, parameters, .. } = &mut *adjoint;
+    let model = &law.0;
+    let through_stress =
+        |(lines, (stresses, particles)): (&mut [PackedAdjoint], (&[f64], &[Packed]))| {
+            let mut sums = [0.0; Parameter::COUNT];
+            for ((line, &by_stress), here) in lines.iter_mut().zip(stresses).zip(particles) {
+                let stress = model.stress_gradient(here.density);
+                line.density += by_stress * stress.by_density;
+                for (sum, slope) in sums.iter_mut().zip(stress.by_parameter) {
+                    *sum += by_stress * slope;
+                }
+            }
+            sums
+        };
+    let chunks = stress.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
+    let sums: Vec<_> = lines.par_chunks_mut(CHUNK).zip(chunks).map(through_stress).collect();
+    for sum in sums {
+        (0..Parameter::COUNT).for_each(|k| parameters[k] += sum[k]);
+    }
+    pull_density_back(&neighbours, model, (&cloud.packed, lines), position);
+}
+
+/// Adds to `∂L/∂r` what `∂L/∂ρ` makes of it, in cell order.
+pub fn pull_density_back<M: Model<D>, const D: usize>(
+    neighbours: &Neighbours<D>,
+    model: &M,
+    (packed, adjoint): (&[Packed], &[PackedAdjoint]),
+    position: &mut [Vector<f64, D>],
+) {
+    let space = neighbours.space;
+    let chunks = neighbours.chunks.par_iter().zip(position.par_chunks_mut(CHUNK));
+    chunks.for_each(|(chunk, position)| {
+        let pass = DensityPullback { packed, adjoint, chunk, space, model, position };
+        Arch::new().dispatch(pass);
+    });
 }

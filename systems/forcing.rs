@@ -2,7 +2,7 @@
 
 use super::acceleration::Law;
 use super::neighbours::CHUNK;
-use super::particles::{Cloud, SensitivityCloud};
+use super::particles::{AdjointCloud, Cloud, SensitivityCloud};
 use super::verlet::{Clock, Integrator};
 use crate::forcing::{EnergyInjection, Mode, Power, stochastic_modes};
 use crate::models::{Model, Parameter};
@@ -194,6 +194,43 @@ pub fn force_stochastically_tangent<const D: usize>(
         for (a, &change) in block.acceleration.iter_mut().zip(&changes) {
             let shared = if full { mean } else { change };
             *a += change - shared.map(|x| x * each);
+        }
+    }
+}
+
+/// System: the pullback of [`force_deterministically`].
+pub fn force_deterministically_pullback<const D: usize>(
+    forcing: Res<DeterministicForcing>,
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let Some(law) = forcing.now(&cloud) else { return };
+    let AdjointCloud { packed, velocity, parameters, .. } = &mut *adjoint;
+    let velocities = cloud.particles().iter().map(|p| p.velocity);
+    let forces = packed.iter().map(|line| line.force);
+    parameters[Parameter::Theta as usize] += law.pullback(velocities, forces, velocity);
+}
+
+/// System: the pullback of [`force_stochastically`].
+pub fn force_stochastically_pullback<const D: usize>(
+    (clock, integrator): (Res<Clock>, Res<Integrator>),
+    neighbours: Res<super::neighbours::Neighbours<D>>,
+    mut forcing: ResMut<StochasticForcing>,
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let time = clock.time_at(clock.evaluated, integrator.dt);
+    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    let AdjointCloud { packed, position, .. } = &mut *adjoint;
+    let mut mean = Vector::<f64, D>::zero();
+    packed.iter().for_each(|line| mean += Vector::from_3d(line.force));
+    mean = mean * (1.0 / cloud.len().max(1) as f64);
+    for ((p, line), out) in cloud.particles().iter().zip(packed).zip(position) {
+        let across = Vector::<f64, D>::from_3d(line.force) - mean;
+        for mode in &forcing.modes {
+            let amplitude = Vector::<f64, D>::from_3d(mode.amplitude);
+            let wave = -forcing.strength * mode.angle(p.position).sin() * amplitude.dot(across);
+            *out += Vector::from_3d(mode.k) * wave;
         }
     }
 }

@@ -1,11 +1,17 @@
 //! Loss accumulation: at each observed step the flow is compared with the truth.
 
 use super::acceleration::Law;
+use super::density::pull_density_back;
 use super::neighbours::Neighbours;
 use super::particles::{Cloud, SensitivityCloud};
+use super::tape::{FrameAdjoint, Tape};
 use super::verlet::Clock;
-use crate::losses::{Mesh, Points, SquareSum, field_loss, trajectory_loss};
+use crate::losses::{
+    Mesh, Points, SquareSum, StateAdjoint, field_adjoint, field_loss, trajectory_adjoint,
+    trajectory_loss,
+};
 use crate::models::Model;
+use crate::packed::PackedAdjoint;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
@@ -88,14 +94,67 @@ pub fn accumulate_loss<M: Model<D>, const D: usize>(
         loss.trajectory.merge(&trajectory_loss(cloud.particles(), &blocks, truth, share));
     }
     if observations.field > 0.0 {
-        let points = Points {
-            packed: cloud.particles(),
-            cells: &neighbours.cells,
-            space: neighbours.space,
-            smoothing: law.0.smoothing(),
-            mass: law.0.mass(),
-        };
+        let points = points(&law.0, &neighbours, &cloud);
         let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
         loss.field.merge(&field_loss(&observations.mesh, &points, &blocks, share));
+    }
+}
+
+/// System: as [`accumulate_loss`] without sensitivities; keeps on the tape how the loss depends on
+/// the state of every particle.
+pub fn accumulate_loss_adjoint<M: Model<D>, const D: usize>(
+    clock: Res<Clock>,
+    observations: Res<Observations<D>>,
+    (law, neighbours, cloud): (Res<Law<M>>, Res<Neighbours<D>>, Res<Cloud<D>>),
+    mut tape: ResMut<Tape<D>>,
+    mut loss: ResMut<LossSum>,
+) {
+    let frames = &observations.frames[..observations.window];
+    let Some(frame) = frames.iter().find(|frame| frame.step == clock.step) else { return };
+    let mut adjoint = StateAdjoint::zero(cloud.len());
+    if observations.trajectory > 0.0 {
+        let rows = &neighbours.cells.row_of_slot;
+        let truth = |slot: usize| {
+            let row = rows[slot] as usize;
+            (frame.positions[row], frame.velocities[row])
+        };
+        let share = (neighbours.space, observations.trajectory);
+        let part = trajectory_adjoint(cloud.particles(), truth, share);
+        loss.trajectory.value += part.value;
+        adjoint.merge(&part);
+    }
+    if observations.field > 0.0 {
+        let points = points(&law.0, &neighbours, &cloud);
+        let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
+        let part = field_adjoint(&observations.mesh, &points, share);
+        loss.field.value += part.value;
+        adjoint.merge(&part);
+        let line = |&density: &f64| PackedAdjoint { density, ..PackedAdjoint::ZERO };
+        let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
+        lines.push(PackedAdjoint::ZERO);
+        let state = (cloud.packed.as_slice(), lines.as_slice());
+        pull_density_back(&neighbours, &law.0, state, &mut adjoint.position);
+    }
+    if !tape.running {
+        return;
+    }
+    let by_row = |column: &[Vector<f64, D>]| {
+        cloud.slot_of_row.iter().map(|&slot| column[slot as usize]).collect()
+    };
+    let (position, velocity) = (by_row(&adjoint.position), by_row(&adjoint.velocity));
+    tape.push_frame(FrameAdjoint { step: clock.step, position, velocity });
+}
+
+fn points<'a, M: Model<D>, const D: usize>(
+    model: &'a M,
+    neighbours: &'a Neighbours<D>,
+    cloud: &'a Cloud<D>,
+) -> Points<'a, M::Kernel, D> {
+    Points {
+        packed: cloud.particles(),
+        cells: &neighbours.cells,
+        space: neighbours.space,
+        smoothing: model.smoothing(),
+        mass: model.mass(),
     }
 }

@@ -29,6 +29,7 @@ pub mod loss;
 pub mod neighbours;
 pub mod pairs;
 pub mod particles;
+pub mod tape;
 pub mod verlet;
 pub mod watch;
 
@@ -85,13 +86,24 @@ impl Phase {
     ];
 }
 
-/// The two schedules of a World.
+impl Phase {
+    /// Where the pullbacks of a force evaluation stand.
+    const REVERSED_FORCES: [Self; 4] = [Self::Return, Self::Forcing, Self::Force, Self::Visible];
+}
+
+/// The schedules of a World.
 #[derive(ScheduleLabel, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Program {
     /// From positions and velocities to the forces at step zero.
     Start,
     /// One step.
     Advance,
+    /// Neighbours and density of a restored state.
+    Prepare,
+    /// The adjoint of one step: every pullback, in the reverse of the step's order.
+    Retreat,
+    /// The adjoint of the start.
+    Return,
 }
 
 /// Which forcing a scene has, as far as the order of systems is concerned.
@@ -114,6 +126,8 @@ pub struct Needs {
     pub stirring: Stirring,
     /// Whether sensitivities are carried.
     pub sensitivities: bool,
+    /// Whether the way forward is kept, so that an adjoint can go back.
+    pub adjoint: bool,
     /// Whether the flow is compared with a truth.
     pub loss: bool,
 }
@@ -146,6 +160,13 @@ pub fn start<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
     add_density::<M, false, D>(&mut schedule, needs);
     add_forces::<M, D>(&mut schedule, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
     add_judgement::<M, D>(&mut schedule, needs);
+    schedule
+}
+
+/// The schedule that brings neighbours and density of a restored state up to date, and nothing else.
+pub fn prepare<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+    let mut schedule = in_order(Program::Prepare);
+    add_density::<M, false, D>(&mut schedule, needs);
     schedule
 }
 
@@ -219,7 +240,7 @@ fn add_density<M: Model<D>, const PREDICTED: bool, const D: usize>(
 fn add_forces<M: Model<D>, const D: usize>(
     schedule: &mut Schedule,
     needs: Needs,
-    [pairs, external, back]: [impl SystemSet; 3],
+    [pairs, external, back]: [impl SystemSet + Clone; 3],
 ) {
     let accelerate = (acceleration::accelerate::<M, D>, acceleration::accelerate_tangent::<M, D>);
     with_tangent(schedule, needs, accelerate, pairs);
@@ -237,7 +258,86 @@ fn add_forces<M: Model<D>, const D: usize>(
         }
     }
     let write = (acceleration::write_acceleration::<D>, verlet::write_acceleration_tangent::<D>);
-    with_tangent(schedule, needs, write, back);
+    with_tangent(schedule, needs, write, back.clone());
+    if needs.adjoint {
+        schedule.add_systems(tape::record_evaluation::<D>.in_set(back));
+    }
+}
+
+/// The adjoint of [`advance`].
+pub fn retreat<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+    let mut schedule = in_reverse(Program::Retreat);
+    let add = &mut schedule;
+    if needs.loss {
+        add.add_systems(tape::add_loss::<D>.in_set(Phase::Loss));
+    }
+    let kick = (verlet::tick_pullback, verlet::kick_pullback::<D>).chain();
+    add.add_systems(kick.in_set(Phase::SecondKick));
+    if needs.step.predicts() {
+        add_forces_pullback::<M, true, D>(add, needs, Phase::REVERSED_FORCES);
+    } else {
+        add_forces_pullback::<M, false, D>(add, needs, Phase::REVERSED_FORCES);
+    }
+    add.add_systems((
+        verlet::drift_pullback::<D>.in_set(Phase::Drift),
+        verlet::kick_pullback::<D>.in_set(Phase::FirstKick),
+    ));
+    if needs.step.refreshes() {
+        let sets = [Refresh::Return, Refresh::Forcing, Refresh::Force, Refresh::Pack];
+        add_forces_pullback::<M, false, D>(add, needs, sets);
+    }
+    schedule
+}
+
+/// The adjoint of [`start`]: the force at step zero depends on the parameters, too.
+pub fn back_to_start<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+    let mut schedule = in_reverse(Program::Return);
+    add_forces_pullback::<M, false, D>(&mut schedule, needs, Phase::REVERSED_FORCES);
+    if needs.loss {
+        schedule.add_systems(tape::add_loss::<D>.in_set(Phase::Loss));
+    }
+    schedule
+}
+
+fn in_reverse(program: Program) -> Schedule {
+    let mut schedule = Schedule::new(program);
+    schedule.set_executor(SingleThreadedExecutor::new());
+    schedule.set_build_settings(ScheduleBuildSettings {
+        ambiguity_detection: LogLevel::Error,
+        ..ScheduleBuildSettings::new()
+    });
+    for pair in Phase::ALL.windows(2) {
+        schedule.configure_sets(pair[0].after(pair[1]));
+    }
+    use Refresh::*;
+    schedule.configure_sets((Return, Forcing, Force, Pack).chain().in_set(Phase::Refresh));
+    schedule
+}
+
+/// Pullbacks of one force evaluation, in four sets that follow each other.
+fn add_forces_pullback<M: Model<D>, const PREDICTED: bool, const D: usize>(
+    schedule: &mut Schedule,
+    needs: Needs,
+    [back, external, pairs, visible]: [impl SystemSet; 4],
+) {
+    schedule.add_systems((
+        tape::rewind_evaluation::<D>.in_set(back),
+        (acceleration::accelerate_pullback::<M, D>, density::sum_density_pullback::<M, D>)
+            .chain()
+            .in_set(pairs),
+        tape::unpack_adjoint::<PREDICTED, D>.in_set(visible),
+    ));
+    match needs.stirring {
+        Stirring::None => {}
+        Stirring::Deterministic => {
+            let force = forcing::force_deterministically_pullback::<D>;
+            schedule.add_systems(force.in_set(external));
+        }
+        Stirring::Stochastic => {
+            let force = forcing::force_stochastically_pullback::<D>;
+            schedule.add_systems(force.in_set(external));
+        }
+    }
 }
 
 /// Loss of an observed step, with the velocities as they stand at its end, and the watch.
@@ -250,7 +350,12 @@ fn add_judgement<M: Model<D>, const D: usize>(schedule: &mut Schedule, needs: Ne
                 .in_set(Phase::Loss),
         );
         add_packed_velocities::<false, D>(schedule, needs, Judgement::Pack);
-        schedule.add_systems(loss::accumulate_loss::<M, D>.in_set(Judgement::Accumulate));
+        if needs.adjoint {
+            let accumulate = loss::accumulate_loss_adjoint::<M, D>;
+            schedule.add_systems(accumulate.in_set(Judgement::Accumulate));
+        } else {
+            schedule.add_systems(loss::accumulate_loss::<M, D>.in_set(Judgement::Accumulate));
+        }
     }
     schedule.add_systems(watch::watch::<M, D>.in_set(Phase::Watch));
 }

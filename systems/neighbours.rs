@@ -15,6 +15,7 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
 pub const CHUNK: usize = 256;
@@ -39,6 +40,11 @@ impl Chunk {
     /// Whether the chunk has no slots.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (self.index.capacity() + self.start.capacity())
     }
 
     /// The neighbours of the chunk's `k`-th slot, eight at a time.
@@ -118,8 +124,8 @@ pub struct Neighbours<const D: usize> {
     pub skin: f64,
     /// Cells of the last rebuild.
     pub cells: Cells<D>,
-    /// Lists, [`CHUNK`] slots each.
-    pub chunks: Vec<Chunk>,
+    /// Lists, [`CHUNK`] slots each; shared with the tape of an adjoint.
+    pub chunks: Arc<Vec<Chunk>>,
     /// How often the lists were rebuilt.
     pub rebuilds: u64,
     /// Positions by row at the last rebuild.
@@ -137,7 +143,7 @@ impl<const D: usize> Neighbours<D> {
             support,
             skin,
             cells: Cells::default(),
-            chunks: Vec::new(),
+            chunks: Arc::default(),
             rebuilds: 0,
             reference: Vec::new(),
             positions: Vec::new(),
@@ -164,16 +170,28 @@ impl<const D: usize> Neighbours<D> {
 
     /// Bytes held by the lists.
     pub fn bytes(&self) -> usize {
-        let per_chunk = |c: &Chunk| 4 * (c.index.capacity() + c.start.capacity());
         let per_row = 8
             * D
             * (self.reference.capacity() + self.positions.capacity() + self.columns[0].capacity());
-        self.chunks.iter().map(per_chunk).sum::<usize>() + per_row + self.cells.bytes()
+        self.chunks.iter().map(Chunk::bytes).sum::<usize>() + per_row + self.cells.bytes()
     }
 
     /// Forgets the lists, so that the next step builds them anew.
     pub fn invalidate(&mut self) {
         self.reference.clear();
+    }
+
+    /// Positions by row at the last rebuild: what the lists, and the order of every sum, follow from.
+    pub fn reference(&self) -> &[Vector<f64, D>] {
+        &self.reference
+    }
+
+    /// Builds the lists as they were built from `reference`.
+    pub fn restore(&mut self, reference: &[Vector<f64, D>], cloud: &mut Cloud<D>) {
+        self.positions.clear();
+        self.positions.extend_from_slice(reference);
+        self.reference.clear();
+        self.update(cloud);
     }
 
     fn is_stale(&self) -> bool {
@@ -213,13 +231,16 @@ impl<const D: usize> Neighbours<D> {
             column.extend(cloud.particles().iter().map(|p| p.position[axis]));
             column.extend([Packed::NOBODY.position[axis]; WIDTH]);
         }
-        self.chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
+        // Lists that the tape still needs stay there; otherwise their memory is used again.
+        let mut chunks = Arc::try_unwrap(std::mem::take(&mut self.chunks)).unwrap_or_default();
+        chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
         let (columns, cells, space) = (&self.columns, &self.cells, self.space);
-        self.chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
+        chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             chunk.first = number * CHUNK;
             let reach2 = reach * reach;
             Arch::new().dispatch(ListPass { chunk, columns, cells, space, reach2 });
         });
+        self.chunks = Arc::new(chunks);
     }
 }
 

@@ -19,8 +19,9 @@ pub struct Batch<const D: usize> {
     pub stresses: Lanes,
 }
 
+/// One number of each of eight particles.
 #[inline(always)]
-fn gather(packed: &[Packed], slots: &[u32; WIDTH], field: impl Fn(&Packed) -> f64) -> Lanes {
+pub fn gather<P>(packed: &[P], slots: &[u32; WIDTH], field: impl Fn(&P) -> f64) -> Lanes {
     let mut lanes = [0.0; WIDTH];
     for (lane, &slot) in lanes.iter_mut().zip(slots) {
         *lane = field(&packed[slot as usize]);

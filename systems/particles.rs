@@ -1,6 +1,6 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
-use crate::packed::{Packed, PackedSensitivity};
+use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
 use crate::scalar::Lanes;
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -50,6 +50,33 @@ pub struct VelocitySensitivity<const D: usize>(pub Vector<Lanes, D>);
 /// `∂F/∂θ` of the last force evaluation.
 #[derive(Component, Clone, Copy, Debug)]
 pub struct AccelerationSensitivity<const D: usize>(pub Vector<Lanes, D>);
+
+/// `∂L/∂r` of the loss still to come, carried backwards through the steps.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct PositionAdjoint<const D: usize>(pub Vector<f64, D>);
+
+/// `∂L/∂v`.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct VelocityAdjoint<const D: usize>(pub Vector<f64, D>);
+
+/// `∂L/∂F` of the force that is carried between steps.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
+
+/// What goes backwards through one force evaluation, in cell order; absent where no adjoint is run.
+#[derive(Resource, Clone, Debug, Default)]
+pub struct AdjointCloud<const D: usize> {
+    /// `∂L/∂F` and `∂L/∂ρ` per slot, and zeros behind the last.
+    pub packed: Vec<PackedAdjoint>,
+    /// `∂L/∂r` through this evaluation, per slot.
+    pub position: Vec<Vector<f64, D>>,
+    /// `∂L/∂v` through this evaluation, per slot.
+    pub velocity: Vec<Vector<f64, D>>,
+    /// `∂L/∂A` per slot.
+    pub stress: Vec<f64>,
+    /// `∂L/∂(c, α, β, γ, θ)`, summed over the evaluations so far.
+    pub parameters: [f64; 5],
+}
 
 /// All particles in cell order, as contiguous arrays: what the pair loops run over.
 ///

@@ -1,8 +1,9 @@
 //! The step in time, appendix A.4: kicks and drifts, with their tangents.
 
 use super::particles::{
-    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Position, PositionSensitivity,
-    SensitivityCloud, Velocity, VelocitySensitivity,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, BlockOf, Cloud, Position,
+    PositionAdjoint, PositionSensitivity, SensitivityCloud, Velocity, VelocityAdjoint,
+    VelocitySensitivity,
 };
 use crate::space::PeriodicBox;
 use bevy_ecs::prelude::*;
@@ -170,4 +171,34 @@ pub fn write_acceleration_tangent<const D: usize>(
             a.0 = sensitivities.blocks[of.block as usize].acceleration[slot];
         }
     }
+}
+
+/// System: the pullback of [`kick`]: `∂L/∂F += dt/2 ∂L/∂v`.
+pub fn kick_pullback<const D: usize>(
+    mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>)>,
+    integrator: Res<Integrator>,
+) {
+    let half = 0.5 * integrator.dt;
+    for (accelerations, velocities) in particles.contiguous_iter_mut().into_iter().flatten() {
+        for (a, v) in accelerations.into_iter().zip(velocities) {
+            a.0 += v.0 * half;
+        }
+    }
+}
+
+/// System: the pullback of [`drift`]: `∂L/∂v += dt ∂L/∂r`.
+pub fn drift_pullback<const D: usize>(
+    mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>)>,
+    integrator: Res<Integrator>,
+) {
+    for (velocities, positions) in particles.contiguous_iter_mut().into_iter().flatten() {
+        for (v, r) in velocities.into_iter().zip(positions) {
+            v.0 += r.0 * integrator.dt;
+        }
+    }
+}
+
+/// System: the pullback of [`tick`].
+pub fn tick_pullback(mut clock: ResMut<Clock>) {
+    clock.step = clock.step.saturating_sub(1);
 }

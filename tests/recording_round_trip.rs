@@ -1,10 +1,6 @@
 //! What a recording promises: nothing is lost, nothing is changed, nothing is guessed.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "a test fails by panicking"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -94,13 +90,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
 fn frame_bits(frame: &Frame) -> (u64, u64, Vec<u64>, Vec<u64>, Vec<u64>) {
     let flat = |rows: &[[f64; 3]]| bits(rows.as_flattened());
     let (positions, velocities) = (flat(&frame.positions), flat(&frame.velocities));
-    (
-        frame.step,
-        frame.time.to_bits(),
-        positions,
-        velocities,
-        bits(&frame.densities),
-    )
+    (frame.step, frame.time.to_bits(), positions, velocities, bits(&frame.densities))
 }
 
 #[track_caller]
@@ -119,10 +109,7 @@ fn every_value_read_back_is_the_value_written() {
     let folder = folder();
     let path = folder.path().join("a.mcap");
     let rows = || {
-        AWKWARD
-            .iter()
-            .enumerate()
-            .map(|(k, &x)| [x, AWKWARD[(k + 1) % 9], AWKWARD[(k + 2) % 9]])
+        AWKWARD.iter().enumerate().map(|(k, &x)| [x, AWKWARD[(k + 1) % 9], AWKWARD[(k + 2) % 9]])
     };
     let awkward: Vec<Frame> = (AWKWARD.iter())
         .map(|&time| Frame::new(u64::MAX, time, rows(), rows(), AWKWARD.to_vec()))
@@ -175,34 +162,14 @@ fn every_value_read_back_is_the_value_written() {
     let text = |values: &dyn std::fmt::Debug| format!("{values:?}");
     let steps = recording.train_steps().unwrap();
     assert_eq!(text(&steps), text(&AWKWARD.map(all)));
-    assert!(
-        steps
-            .iter()
-            .zip(AWKWARD)
-            .all(|(step, x)| step.loss.to_bits() == x.to_bits())
-    );
-    assert!(
-        steps
-            .iter()
-            .all(|step| bits(&step.log10_error) == bits(&AWKWARD))
-    );
+    assert!(steps.iter().zip(AWKWARD).all(|(step, x)| step.loss.to_bits() == x.to_bits()));
+    assert!(steps.iter().all(|step| bits(&step.log10_error) == bits(&AWKWARD)));
     let read = recording.conservation().unwrap();
     assert_eq!(text(&read), text(&AWKWARD.map(kept)));
-    assert!(
-        read.iter()
-            .zip(AWKWARD)
-            .all(|(kept, x)| kept.courant.to_bits() == x.to_bits())
-    );
+    assert!(read.iter().zip(AWKWARD).all(|(kept, x)| kept.courant.to_bits() == x.to_bits()));
     let logs = recording.logs().unwrap();
-    assert!(
-        logs.iter()
-            .zip(AWKWARD)
-            .all(|(line, x)| line.time.to_bits() == x.to_bits())
-    );
-    assert_eq!(
-        (logs[0].level, logs[0].text.as_str()),
-        (Level::Info, "µ ≠ µ")
-    );
+    assert!(logs.iter().zip(AWKWARD).all(|(line, x)| line.time.to_bits() == x.to_bits()));
+    assert_eq!((logs[0].level, logs[0].text.as_str()), (Level::Info, "µ ≠ µ"));
 }
 
 #[test]
@@ -229,10 +196,7 @@ fn a_file_cut_at_any_point_yields_the_complete_frames_before_the_cut() {
     write_run(&whole).unwrap();
     let bytes = std::fs::read(&whole).unwrap();
     let mut counts = Vec::new();
-    for length in (0..bytes.len())
-        .step_by(97)
-        .chain(bytes.len() - 40..bytes.len())
-    {
+    for length in (0..bytes.len()).step_by(97).chain(bytes.len() - 40..bytes.len()) {
         let path = cut(&bytes, length, &folder.path().join("cut.mcap"));
         let Ok(recording) = Recording::open(&path) else {
             assert!(length < 1500, "{length} bytes must be enough to open");
@@ -252,11 +216,7 @@ fn a_file_cut_at_any_point_yields_the_complete_frames_before_the_cut() {
     assert_eq!((counts[0], counts[counts.len() - 1]), (0, 12));
     let mut met = counts.clone();
     met.dedup();
-    assert_eq!(
-        met,
-        (0..=12).collect::<Vec<_>>(),
-        "no frame appears before the one before it"
-    );
+    assert_eq!(met, (0..=12).collect::<Vec<_>>(), "no frame appears before the one before it");
 }
 
 #[test]
@@ -273,29 +233,19 @@ fn recover_makes_a_cut_file_open_normally() {
         let after = Recording::open(&output).unwrap();
         assert!(!after.is_truncated());
         assert_eq!(recovered.chunks_lost, 0);
-        assert_eq!(
-            std::fs::read(&path).unwrap(),
-            &bytes[..length],
-            "the input was changed"
-        );
+        assert_eq!(std::fs::read(&path).unwrap(), &bytes[..length], "the input was changed");
         for flow in Flow::ALL {
             assert_eq!(after.frame_times(flow), before.frame_times(flow));
         }
         assert_eq!(after.run().metadata, before.run().metadata);
-        assert_eq!(
-            after.train_steps().unwrap().len(),
-            before.train_steps().unwrap().len()
-        );
+        assert_eq!(after.train_steps().unwrap().len(), before.train_steps().unwrap().len());
     }
 }
 
 #[test]
 fn recovering_a_complete_file_gives_its_bytes_again() {
     let folder = folder();
-    let (whole, again) = (
-        folder.path().join("whole.mcap"),
-        folder.path().join("again.mcap"),
-    );
+    let (whole, again) = (folder.path().join("whole.mcap"), folder.path().join("again.mcap"));
     write_run(&whole).unwrap();
     recover(&whole, &again).unwrap();
     assert!(std::fs::read(whole).unwrap() == std::fs::read(again).unwrap());
@@ -341,12 +291,9 @@ fn a_damaged_frame_is_refused_and_the_others_are_read() {
     bytes[place] ^= 1;
     let path = cut(&bytes, bytes.len(), &folder.path().join("damaged.mcap"));
     let recording = Recording::open(&path).unwrap();
-    let results = Flow::ALL
-        .into_iter()
-        .flat_map(|flow| (0..6).map(move |k| (flow, k)));
-    let (good, bad): (Vec<_>, Vec<_>) = results
-        .map(|(flow, k)| recording.frame(flow, k))
-        .partition(Result::is_ok);
+    let results = Flow::ALL.into_iter().flat_map(|flow| (0..6).map(move |k| (flow, k)));
+    let (good, bad): (Vec<_>, Vec<_>) =
+        results.map(|(flow, k)| recording.frame(flow, k)).partition(Result::is_ok);
     assert_eq!((good.len(), bad.len()), (11, 1));
     for result in bad {
         assert_refused(result, &["a whole chunk", "--recover"]);
@@ -389,16 +336,10 @@ fn two_dimensional_frames_have_z_zero() {
     let folder = folder();
     let path = folder.path().join("flat.mcap");
     let flat = Frame::new(0, 0.0, [[1.0, 2.0]], [[3.0, 4.0]], vec![1.0]);
-    assert_eq!(
-        (flat.positions[0], flat.velocities[0]),
-        ([1.0, 2.0, 0.0], [3.0, 4.0, 0.0])
-    );
+    assert_eq!((flat.positions[0], flat.velocities[0]), ([1.0, 2.0, 0.0], [3.0, 4.0, 0.0]));
     let mut recorder = Recorder::create(&path, &run(2)).unwrap();
     recorder.frame(Flow::Truth, flat.clone()).unwrap();
-    let high = Frame {
-        positions: vec![[1.0, 2.0, 0.5]],
-        ..flat.clone()
-    };
+    let high = Frame { positions: vec![[1.0, 2.0, 0.5]], ..flat.clone() };
     assert_refused(recorder.frame(Flow::Truth, high), &["z = 0", "0.5"]);
     recorder.finish().unwrap();
     let recording = Recording::open(&path).unwrap();
@@ -421,20 +362,9 @@ fn a_cloud_of_any_columns_comes_back_on_its_topic() {
         ],
     };
     let mut recorder = Recorder::create(&path, &run(3)).unwrap();
-    recorder
-        .cloud(topic, cloud.clone(), vec![0.0, 0.5, 1.0])
-        .unwrap();
+    recorder.cloud(topic, cloud.clone(), vec![0.0, 0.5, 1.0]).unwrap();
     recorder.frame(Flow::Learned, frame(1, 5)).unwrap();
-    recorder
-        .cloud(
-            topic,
-            Cloud {
-                step: 5,
-                ..cloud.clone()
-            },
-            vec![0.5; 3],
-        )
-        .unwrap();
+    recorder.cloud(topic, Cloud { step: 5, ..cloud.clone() }, vec![0.5; 3]).unwrap();
     recorder.finish().unwrap();
     let recording = Recording::open(&path).unwrap();
     assert_eq!(recording.cloud_topics(), ["/learned/particles", topic]);
@@ -461,39 +391,20 @@ fn impossible_input_to_a_recorder_is_refused() {
 
     let mut recorder = Recorder::create(&path, &run(3)).unwrap();
     let good = frame(0, 4);
-    let short = Frame {
-        velocities: vec![[0.0; 3]; 3],
-        ..good.clone()
-    };
+    let short = Frame { velocities: vec![[0.0; 3]; 3], ..good.clone() };
     assert_refused(recorder.frame(Flow::Truth, short), &["4 velocities", "3"]);
-    let short = Frame {
-        densities: vec![1.0; 5],
-        ..good
-    };
+    let short = Frame { densities: vec![1.0; 5], ..good };
     assert_refused(recorder.frame(Flow::Truth, short), &["rho", "4", "5"]);
     let cloud = |name: &str| Cloud {
         positions: vec![[0.0; 3]],
         columns: vec![Column::new(name, vec![0.0])],
         ..Cloud::default()
     };
-    assert_refused(
-        recorder.cloud("/train/step", cloud("a"), vec![0.0]),
-        &["/train/step"],
-    );
-    assert_refused(
-        recorder.cloud("no-slash", cloud("a"), vec![0.0]),
-        &["starts with `/`"],
-    );
+    assert_refused(recorder.cloud("/train/step", cloud("a"), vec![0.0]), &["/train/step"]);
+    assert_refused(recorder.cloud("no-slash", cloud("a"), vec![0.0]), &["starts with `/`"]);
     assert_refused(recorder.cloud("/mine", cloud("red"), vec![0.0]), &["red"]);
-    assert_refused(
-        recorder.cloud("/mine", cloud("a"), vec![]),
-        &["1 shades", "0"],
-    );
-    assert_eq!(
-        recorder.finish().unwrap().messages,
-        2,
-        "the scene and the transform"
-    );
+    assert_refused(recorder.cloud("/mine", cloud("a"), vec![]), &["1 shades", "0"]);
+    assert_eq!(recorder.finish().unwrap().messages, 2, "the scene and the transform");
 }
 
 #[test]
@@ -514,36 +425,21 @@ fn what_is_not_a_recording_is_refused() {
     let folder = folder();
     let path = folder.path().join("x.mcap");
     let missing = Recording::open(&path).unwrap_err();
-    assert!(
-        matches!(missing, Error::File { action: "read", .. }),
-        "{missing}"
-    );
+    assert!(matches!(missing, Error::File { action: "read", .. }), "{missing}");
     assert_eq!(missing.exit_code(), 2);
     std::fs::write(&path, "").unwrap();
-    assert_refused(
-        Recording::open(&path),
-        &["an MCAP file", "less than 8 bytes"],
-    );
+    assert_refused(Recording::open(&path), &["an MCAP file", "less than 8 bytes"]);
     std::fs::write(&path, "a text, of some length").unwrap();
     assert_refused(Recording::open(&path), &["an MCAP file", "recorded"]);
-    assert_refused(
-        recover(&path, &folder.path().join("y.mcap")),
-        &["an MCAP file"],
-    );
+    assert_refused(recover(&path, &folder.path().join("y.mcap")), &["an MCAP file"]);
     let mut other = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
     other.finish().unwrap();
     assert_refused(Recording::open(&path), &["whirls.run"]);
-    assert_refused(
-        recover(&path, &folder.path().join("y.mcap")),
-        &["whirls.run"],
-    );
+    assert_refused(recover(&path, &folder.path().join("y.mcap")), &["whirls.run"]);
     write_run(&path).unwrap();
     assert_refused(recover(&path, &path), &["same file"]);
     let recording = Recording::open(&path).unwrap();
-    assert_refused(
-        recording.frame(Flow::Truth, 6),
-        &["one of 6 messages", "message 6"],
-    );
+    assert_refused(recording.frame(Flow::Truth, 6), &["one of 6 messages", "message 6"]);
     assert_refused(recording.cloud("/none", 0), &["one of 0 messages"]);
 }
 
@@ -553,16 +449,10 @@ fn another_format_version_is_refused() {
     let path = folder.path().join("x.mcap");
     let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
     let metadata = BTreeMap::from([("format".into(), "2".into())]);
-    let record = mcap::records::Metadata {
-        name: "whirls.run".into(),
-        metadata,
-    };
+    let record = mcap::records::Metadata { name: "whirls.run".into(), metadata };
     writer.write_metadata(&record).unwrap();
     writer.finish().unwrap();
-    assert_refused(
-        Recording::open(&path),
-        &["format version 1", "\"2\"", "version of whirls"],
-    );
+    assert_refused(Recording::open(&path), &["format version 1", "\"2\"", "version of whirls"]);
 }
 
 #[test]
@@ -574,12 +464,7 @@ fn changing_any_byte_never_panics_and_never_changes_a_number_unnoticed() {
     let changed = folder.path().join("changed.mcap");
     for (k, place) in (0..bytes.len()).step_by(131).enumerate() {
         let mut bytes = bytes.clone();
-        bytes[place] = [
-            0x00,
-            0xff,
-            bytes[place] ^ 0x80,
-            bytes[place].wrapping_add(1),
-        ][k % 4];
+        bytes[place] = [0x00, 0xff, bytes[place] ^ 0x80, bytes[place].wrapping_add(1)][k % 4];
         std::fs::write(&changed, &bytes).unwrap();
         let Ok(recording) = Recording::open(&changed) else {
             continue;
@@ -593,10 +478,7 @@ fn changing_any_byte_never_panics_and_never_changes_a_number_unnoticed() {
                 assert!(known, "byte {place} changed a frame");
             }
         }
-        for read in [
-            recording.train_steps().map(drop),
-            recording.logs().map(drop),
-        ] {
+        for read in [recording.train_steps().map(drop), recording.logs().map(drop)] {
             drop(read);
         }
         drop(recover(&changed, &folder.path().join("recovered.mcap")));

@@ -10,9 +10,11 @@ use crate::systems::Stirring;
 use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationSensitivity, BlockOf, Cloud, Density, Identity, Position,
-    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocitySensitivity,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
+    Density, Identity, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
+    SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
+use crate::systems::tape::Tape;
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::Failure;
 use crate::vector::Vector;
@@ -88,4 +90,17 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         });
     }
     world.insert_resource(cloud);
+}
+
+pub(super) fn insert_adjoint<const D: usize>(world: &mut World) {
+    let particles: Vec<Entity> =
+        world.query_filtered::<Entity, With<Identity>>().iter(world).collect();
+    let zeros = (
+        PositionAdjoint::<D>::default(),
+        VelocityAdjoint::<D>::default(),
+        AccelerationAdjoint::<D>::default(),
+    );
+    world.insert_batch(particles.into_iter().map(|particle| (particle, zeros)));
+    world.insert_resource(AdjointCloud::<D>::default());
+    world.insert_resource(Tape::<D>::default());
 }

@@ -1,8 +1,10 @@
 //! One World is one flow: a scene becomes particles, resources and a schedule.
 
+mod adjoint;
 mod build;
 mod state;
 
+pub use adjoint::Snapshot;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
@@ -24,7 +26,9 @@ use crate::systems::watch::Failure;
 use crate::systems::{self, Needs};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
-use build::{insert_forcing, insert_motion, no_change, spawn_particles, spawn_sensitivities};
+use build::{
+    insert_adjoint, insert_forcing, insert_motion, no_change, spawn_particles, spawn_sensitivities,
+};
 
 /// What a flow is differentiated by.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,9 +45,20 @@ pub struct Flow<const D: usize> {
     start: Schedule,
     advance: Schedule,
     started: bool,
+    backward: Option<Backward>,
     law: Erased<D>,
     columns: Vec<Parameter>,
 }
+
+/// The schedules of a flow that can be run backwards.
+struct Backward {
+    prepare: Schedule,
+    retreat: Schedule,
+    back_to_start: Schedule,
+}
+
+/// What a flow carries beside its particles: sensitivities, observations, the way back.
+type Parts<'a, const D: usize> = (Option<&'a Differentiation>, Option<Observations<D>>, bool);
 
 /// The few operations that need the model's type, which only the scene knows.
 #[derive(Clone, Copy)]
@@ -73,28 +88,42 @@ impl<const D: usize> Flow<D> {
         differentiation: Option<&Differentiation>,
         observations: Option<Observations<D>>,
     ) -> Result<Self> {
-        if scene.dimension != D {
-            return Err(Error::input(
-                format!("scene {}", scene.name),
-                format!("dimension {D}"),
-                format!("dimension {}", scene.dimension),
-                "build a flow of the scene's dimension",
-            ));
-        }
-        let parts = (differentiation, observations);
+        Self::must_fit(scene)?;
+        Ok(Self::with_law(scene, state, (differentiation, observations, false)))
+    }
+
+    /// The flow of a scene that is compared with observations and can be run backwards.
+    pub fn with_adjoint(
+        scene: &Scene,
+        state: &State<D>,
+        observations: Observations<D>,
+    ) -> Result<Self> {
+        Self::must_fit(scene)?;
+        Ok(Self::with_law(scene, state, (None, Some(observations), true)))
+    }
+
+    fn with_law(scene: &Scene, state: &State<D>, parts: Parts<'_, D>) -> Self {
         // The one place where a scene's choice of a law becomes a type.
-        Ok(match scene.fluid.kernel {
+        match scene.fluid.kernel {
             KernelName::CubicSpline => Self::with_kernel::<CubicSpline>(scene, state, parts),
             KernelName::WendlandC2 => Self::with_kernel::<WendlandC2>(scene, state, parts),
             KernelName::WendlandC4 => Self::with_kernel::<WendlandC4>(scene, state, parts),
-        })
+        }
     }
 
-    fn with_kernel<K: Kernel>(
-        scene: &Scene,
-        state: &State<D>,
-        parts: (Option<&Differentiation>, Option<Observations<D>>),
-    ) -> Self {
+    fn must_fit(scene: &Scene) -> Result<()> {
+        if scene.dimension == D {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("scene {}", scene.name),
+            format!("dimension {D}"),
+            format!("dimension {}", scene.dimension),
+            "build a flow of the scene's dimension",
+        ))
+    }
+
+    fn with_kernel<K: Kernel>(scene: &Scene, state: &State<D>, parts: Parts<'_, D>) -> Self {
         let smoothing = Smoothing::<K, D>::new(scene.fluid.smoothing_length);
         let mass = scene.fluid.box_length.powi(D as i32) / state.positions.len() as f64;
         Self::with_model(scene, state, parts, Physics::new(mass, smoothing, scene.parameters()))
@@ -103,7 +132,7 @@ impl<const D: usize> Flow<D> {
     fn with_model<M: Model<D>>(
         scene: &Scene,
         state: &State<D>,
-        (differentiation, observations): (Option<&Differentiation>, Option<Observations<D>>),
+        (differentiation, observations, adjoint): Parts<'_, D>,
         model: M,
     ) -> Self {
         let mut world = World::new();
@@ -111,11 +140,15 @@ impl<const D: usize> Flow<D> {
             step: scene.time.step,
             stirring: insert_forcing(&mut world, scene),
             sensitivities: differentiation.is_some(),
+            adjoint,
             loss: observations.is_some(),
         };
         insert_motion::<D>(&mut world, scene);
         world.insert_resource(Law(model));
         spawn_particles(&mut world, state);
+        if adjoint {
+            insert_adjoint::<D>(&mut world);
+        }
         let columns = differentiation.map(|d| d.parameters.clone()).unwrap_or_default();
         if let Some(differentiation) = differentiation {
             spawn_sensitivities::<D>(&mut world, state.positions.len(), differentiation);
@@ -129,6 +162,11 @@ impl<const D: usize> Flow<D> {
             start: systems::start::<M, D>(needs),
             advance: systems::advance::<M, D>(needs),
             started: false,
+            backward: adjoint.then(|| Backward {
+                prepare: systems::prepare::<M, D>(needs),
+                retreat: systems::retreat::<M, D>(needs),
+                back_to_start: systems::back_to_start::<M, D>(needs),
+            }),
             law: Erased {
                 set: |world, parameters| {
                     world.resource_mut::<Law<M>>().0.set_parameters(parameters)
@@ -278,7 +316,10 @@ impl<const D: usize> Flow<D> {
 
     /// Builds both schedules without running them: an error if two systems could run in either order.
     pub fn check_order(&mut self) -> std::result::Result<(), String> {
-        for schedule in [&mut self.start, &mut self.advance] {
+        let backward = self.backward.iter_mut().flat_map(|backward| {
+            [&mut backward.prepare, &mut backward.retreat, &mut backward.back_to_start]
+        });
+        for schedule in [&mut self.start, &mut self.advance].into_iter().chain(backward) {
             schedule.initialize(&mut self.world).map_err(|error| format!("{error:?}"))?;
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! The field loss `L_f`: the smoothed velocity field on a mesh, against the truth's.
 
-use super::SquareSum;
+use super::{SquareSum, StateAdjoint};
 use crate::cells::Cells;
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::{Packed, PackedSensitivity};
@@ -30,6 +30,27 @@ impl<const D: usize> Mesh<D> {
     /// Whether there is no node.
     pub fn is_empty(&self) -> bool {
         self.per_axis == 0
+    }
+
+    /// Calls `visit` with every node whose coordinates are each within `reach` of a place, once.
+    fn around(&self, place: Vector<f64, D>, reach: f64, mut visit: impl FnMut(usize)) {
+        let n = self.per_axis;
+        let spacing = self.length / n as f64;
+        let first = place.map(|x| ((x - reach) / spacing).ceil());
+        let count: [usize; D] = std::array::from_fn(|axis| {
+            let last = ((place[axis] + reach) / spacing).floor();
+            ((last - first[axis]).max(-1.0) + 1.0).min(n as f64) as usize
+        });
+        let first = first.map(|x| x.rem_euclid(n as f64) as usize % n);
+        for mut index in 0..count.iter().product() {
+            let (mut node, mut stride) = (0, 1);
+            for axis in 0..D {
+                node += stride * ((first[axis] + index % count[axis]) % n);
+                index /= count[axis];
+                stride *= n;
+            }
+            visit(node);
+        }
     }
 
     /// Position of a node; the first axis runs fastest.
@@ -153,4 +174,54 @@ pub fn field_loss<K: Kernel, const D: usize>(
     let mut sum = SquareSum::new(blocks.len());
     parts.iter().for_each(|part| sum.merge(part));
     sum
+}
+
+/// The value of [`field_loss`], and its derivative by each particle's position (at fixed density),
+/// velocity and density: each particle gathers from the nodes in its reach.
+pub fn field_adjoint<K: Kernel, const D: usize>(
+    mesh: &Mesh<D>,
+    points: &Points<'_, K, D>,
+    (truth, weight): (&[Vector<f64, D>], f64),
+) -> StateAdjoint<D> {
+    let weight = weight / (mesh.len() * D) as f64;
+    let mut nodes = field(mesh, points);
+    let mut adjoint = StateAdjoint::zero(points.packed.len());
+    for (node, expected) in nodes.iter_mut().zip(truth) {
+        let difference = *node - *expected;
+        adjoint.value += weight * difference.norm_squared();
+        *node = difference * (2.0 * weight);
+    }
+    let columns = adjoint.position.par_iter_mut().zip(&mut adjoint.velocity);
+    let columns = columns.zip(&mut adjoint.density).zip(points.packed).with_min_len(CHUNK);
+    columns.for_each(|(((position, velocity), density), particle)| {
+        (*position, *velocity, *density) = points.gather(mesh, &nodes, particle);
+    });
+    adjoint
+}
+
+impl<K: Kernel, const D: usize> Points<'_, K, D> {
+    /// What one particle takes from `∂L/∂V` on the nodes: `∂L/∂r`, `∂L/∂v`, `∂L/∂ρ`.
+    fn gather(
+        &self,
+        mesh: &Mesh<D>,
+        nodes: &[Vector<f64, D>],
+        particle: &Packed,
+    ) -> (Vector<f64, D>, Vector<f64, D>, f64) {
+        let (mut position, mut velocity, mut density) = (Vector::zero(), Vector::zero(), 0.0);
+        let r = Vector::<f64, D>::from_3d(particle.position);
+        let v = Vector::<f64, D>::from_3d(particle.velocity);
+        let volume = self.mass / particle.density;
+        mesh.around(r, self.smoothing.support(), |node| {
+            let apart = self.space.minimum_image(mesh.node(node) - r);
+            let distance = apart.norm();
+            if distance < self.smoothing.support() {
+                let weight = volume * self.smoothing.value(distance);
+                let along = v.dot(nodes[node]);
+                velocity += nodes[node] * weight;
+                position -= apart * (volume * self.smoothing.gradient(distance) * along);
+                density -= weight * along / particle.density;
+            }
+        });
+        (position, velocity, density)
+    }
 }

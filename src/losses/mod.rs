@@ -7,10 +7,43 @@
 mod field;
 mod trajectory;
 
-pub use field::{Mesh, Points, field, field_loss};
-pub use trajectory::trajectory_loss;
+pub use field::{Mesh, Points, field, field_adjoint, field_loss};
+pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
 use crate::scalar::{Lanes, WIDTH};
+use crate::vector::Vector;
+
+/// A loss of one frame, with its derivatives by the state of every particle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StateAdjoint<const D: usize> {
+    /// The weighted loss.
+    pub value: f64,
+    /// `∂L/∂r` at fixed density.
+    pub position: Vec<Vector<f64, D>>,
+    /// `∂L/∂v`.
+    pub velocity: Vec<Vector<f64, D>>,
+    /// `∂L/∂ρ`.
+    pub density: Vec<f64>,
+}
+
+impl<const D: usize> StateAdjoint<D> {
+    /// No loss, of `count` particles.
+    pub fn zero(count: usize) -> Self {
+        let zeros = vec![Vector::zero(); count];
+        Self { value: 0.0, position: zeros.clone(), velocity: zeros, density: vec![0.0; count] }
+    }
+
+    /// Adds another loss.
+    pub fn merge(&mut self, other: &Self) {
+        let vectors = |a: &mut [Vector<f64, D>], b: &[Vector<f64, D>]| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a += *b);
+        };
+        self.value += other.value;
+        vectors(&mut self.position, &other.position);
+        vectors(&mut self.velocity, &other.velocity);
+        self.density.iter_mut().zip(&other.density).for_each(|(a, b)| *a += b);
+    }
+}
 
 /// A weighted sum of squared residuals, with its gradient and its Gauss–Newton matrix.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,6 +1,6 @@
 //! The trajectory loss `L_tr`: every particle against its true self.
 
-use super::SquareSum;
+use super::{SquareSum, StateAdjoint};
 use crate::packed::{Packed, PackedSensitivity};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -28,4 +28,24 @@ pub fn trajectory_loss<const D: usize>(
         }
     }
     sum
+}
+
+/// The value of [`trajectory_loss`], and its derivative by each particle's state: `2w(r − r̂)` and
+/// `2w(v − v̂)`, in the order of `packed`.
+pub fn trajectory_adjoint<const D: usize>(
+    packed: &[Packed],
+    truth: impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>),
+    (space, weight): (PeriodicBox, f64),
+) -> StateAdjoint<D> {
+    let weight = weight / packed.len().max(1) as f64;
+    let mut adjoint = StateAdjoint::zero(packed.len());
+    for (slot, particle) in packed.iter().enumerate() {
+        let (r, v) = truth(slot);
+        let position = space.minimum_image(Vector::from_3d(particle.position) - r);
+        let velocity = Vector::from_3d(particle.velocity) - v;
+        adjoint.value += weight * (position.norm_squared() + velocity.norm_squared());
+        adjoint.position[slot] = position * (2.0 * weight);
+        adjoint.velocity[slot] = velocity * (2.0 * weight);
+    }
+    adjoint
 }

@@ -3,8 +3,10 @@
 //! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and pass through the linearised step, beside
 //! the flow itself: each system of `systems/` has its tangent in the same file.
 
+mod adjoint;
 mod check;
 
+pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
 pub use check::{ComparedSlope, compare_with_differences};
 
 use serde::{Deserialize, Serialize};

@@ -1,0 +1,138 @@
+//! A flow run backwards: snapshots on the way forward, pullbacks on the way back.
+
+use super::{Flow, State};
+use crate::error::Result;
+use crate::models::Parameters;
+use crate::systems::loss::LossSum;
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::{
+    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, Identity, Position, PositionAdjoint,
+    Velocity, VelocityAdjoint,
+};
+use crate::systems::tape::Tape;
+use crate::systems::verlet::Clock;
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+
+/// Everything from which a flow goes on with the same bits: the state, the force that is carried,
+/// and the positions that the neighbour lists were built from.
+#[derive(Clone, Debug)]
+pub struct Snapshot<const D: usize> {
+    clock: Clock,
+    state: State<D>,
+    accelerations: Vec<Vector<f64, D>>,
+    reference: Vec<Vector<f64, D>>,
+}
+
+impl<const D: usize> Snapshot<D> {
+    /// Steps completed.
+    pub fn step(&self) -> u64 {
+        self.clock.step
+    }
+
+    /// Bytes held per particle.
+    pub const BYTES: usize = 4 * 8 * D;
+}
+
+impl<const D: usize> Flow<D> {
+    /// The state of a started flow, to come back to.
+    pub fn snapshot(&mut self) -> Snapshot<D> {
+        Snapshot {
+            clock: *self.world.resource::<Clock>(),
+            state: self.state(),
+            accelerations: self.accelerations(),
+            reference: self.world.resource::<Neighbours<D>>().reference().to_vec(),
+        }
+    }
+
+    /// Comes back to a snapshot. A flow that was not built with an adjoint stays as it is.
+    pub fn restore(&mut self, snapshot: &Snapshot<D>) {
+        let Some(backward) = &mut self.backward else { return };
+        let world = &mut self.world;
+        let mut rows =
+            world.query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
+        for (id, mut r, mut v, mut a) in rows.iter_mut(world) {
+            r.0 = snapshot.state.positions[id.0 as usize];
+            v.0 = snapshot.state.velocities[id.0 as usize];
+            a.0 = snapshot.accelerations[id.0 as usize];
+        }
+        world.insert_resource(snapshot.clock);
+        world.resource_scope(|world, mut cloud: Mut<'_, Cloud<D>>| {
+            world.resource_mut::<Neighbours<D>>().restore(&snapshot.reference, &mut cloud);
+        });
+        backward.prepare.run(world);
+    }
+
+    /// Whether force evaluations are kept on the tape from now on.
+    pub fn keep_evaluations(&mut self, running: bool) {
+        if let Some(mut tape) = self.world.get_resource_mut::<Tape<D>>() {
+            tape.running = running;
+        }
+    }
+
+    /// Bytes that the tape now holds.
+    pub fn tape_bytes(&self) -> usize {
+        self.world.get_resource::<Tape<D>>().map_or(0, Tape::bytes)
+    }
+
+    /// Forgets the tape and every adjoint: before a way forward.
+    pub fn clear_adjoint(&mut self) {
+        let world = &mut self.world;
+        let mut rows = world.query::<(
+            &mut PositionAdjoint<D>,
+            &mut VelocityAdjoint<D>,
+            &mut AccelerationAdjoint<D>,
+        )>();
+        for (mut r, mut v, mut a) in rows.iter_mut(world) {
+            (r.0, v.0, a.0) = (Vector::zero(), Vector::zero(), Vector::zero());
+        }
+        if let Some(mut tape) = world.get_resource_mut::<Tape<D>>() {
+            tape.clear();
+        }
+        if let Some(mut adjoint) = world.get_resource_mut::<AdjointCloud<D>>() {
+            adjoint.parameters = Default::default();
+        }
+    }
+
+    /// The adjoint of the last step on the tape.
+    pub fn retreat(&mut self) {
+        if let Some(backward) = &mut self.backward {
+            backward.retreat.run(&mut self.world);
+        }
+    }
+
+    /// The adjoint of the start: the first force on the tape.
+    pub fn back_to_start(&mut self) {
+        if let Some(backward) = &mut self.backward {
+            backward.back_to_start.run(&mut self.world);
+        }
+    }
+
+    /// `∂L/∂(c, α, β, γ, θ)` gathered on the way back.
+    pub fn adjoint_gradient(&self) -> Parameters<f64> {
+        let adjoint = self.world.get_resource::<AdjointCloud<D>>();
+        Parameters(adjoint.map_or([0.0; 5], |adjoint| adjoint.parameters))
+    }
+
+    /// `(∂L/∂r, ∂L/∂v)` where the way back now stands, particle `k` in row `k`.
+    pub fn state_adjoint(&mut self) -> (Vec<Vector<f64, D>>, Vec<Vector<f64, D>>) {
+        let mut rows = self.world.query::<(&Identity, &PositionAdjoint<D>, &VelocityAdjoint<D>)>();
+        let count = rows.iter(&self.world).count();
+        let mut both = (vec![Vector::zero(); count], vec![Vector::zero(); count]);
+        for (id, r, v) in rows.iter(&self.world) {
+            both.0[id.0 as usize] = r.0;
+            both.1[id.0 as usize] = v.0;
+        }
+        both
+    }
+
+    /// Puts a loss in place of the one accumulated: replayed steps must not count twice.
+    pub(crate) fn set_loss(&mut self, loss: LossSum) {
+        self.world.insert_resource(loss);
+    }
+
+    /// Goes `steps` forward.
+    pub(crate) fn advance_by(&mut self, steps: u64) -> Result<()> {
+        (0..steps).try_for_each(|_| self.step())
+    }
+}

@@ -1,0 +1,109 @@
+//! The adjoint: all parameters at the price of one way back.
+
+use whirls::flow::{Differentiation, Flow};
+use whirls::models::Parameter;
+use whirls::scene::{Scene, Weights};
+use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
+use whirls::systems::verlet::Step;
+use whirls::truth::Truth;
+
+/// A small rough flow with every term of the force at work.
+fn scene(dimension: usize, step: Step, forcing: &str, loss: Weights) -> Scene {
+    let name = if dimension == 2 { "inverse-2d" } else { "inverse-3d" };
+    let (side, h) = if dimension == 2 { (14, 0.457) } else { (8, 0.67) };
+    let mut overrides = vec![
+        format!("fluid.particles_per_side={side}"),
+        format!("fluid.smoothing_length={h}"),
+        "learn.after=4".to_owned(),
+        "learn.frames=5".to_owned(),
+        "learn.windows=[]".to_owned(),
+    ];
+    if forcing != "paper" {
+        overrides.push(format!("forcing={forcing}"));
+    }
+    let mut scene = Scene::open(name, &overrides).unwrap();
+    scene.time.step = step;
+    if let Some(learn) = &mut scene.learn {
+        learn.loss = loss;
+    }
+    scene
+}
+
+const FORCINGS: [&str; 4] = [
+    "paper",
+    "{kind='deterministic',theta=0.3,power='exact'}",
+    "{kind='stochastic',interval=0.05}",
+    "{kind='none'}",
+];
+
+/// Loss and gradient both ways at parameters off the truth.
+fn both<const D: usize>(scene: &Scene, storage: Storage) -> ([f64; 5], [f64; 5], [f64; 2]) {
+    let learn = scene.learn.clone().unwrap();
+    let truth = Truth::<D>::generate(scene, (learn.after, learn.frames)).unwrap();
+    let observations = truth.observations(scene, &learn);
+    let mut guess = scene.parameters();
+    guess.0 = [0.8, 0.7, 1.3, 0.75, 0.9].map(|x| x).iter().zip(guess.0).map(|(a, b)| a * b).collect::<Vec<_>>().try_into().unwrap();
+    let by = Differentiation { parameters: Parameter::ALL.to_vec(), coupling: Coupling::Full };
+    let start = &truth.states[0];
+    let mut forward =
+        Flow::<D>::build(scene, start, Some(&by), Some(observations.clone())).unwrap();
+    forward.set_parameters(guess);
+    for _ in 0..learn.frames {
+        forward.step().unwrap();
+    }
+    let sum = forward.loss();
+    let parts = sum.trajectory.gradient(5).into_iter().zip(sum.field.gradient(5));
+    let exact: Vec<f64> = parts.map(|(a, b)| a + b).collect();
+    let mut backward = Flow::<D>::with_adjoint(scene, start, observations).unwrap();
+    backward.check_order().unwrap();
+    backward.set_parameters(guess);
+    let found = adjoint_gradient(&mut backward, start, learn.frames as u64, storage).unwrap();
+    let losses = [
+        sum.trajectory.value + sum.field.value,
+        found.loss.trajectory.value + found.loss.field.value,
+    ];
+    (exact.try_into().unwrap(), found.gradient.0, losses)
+}
+
+#[test]
+fn adjoint_and_forward_gradients_agree_to_round_off() {
+    let mut worst = 0.0_f64;
+    for step in Step::ALL {
+        for forcing in FORCINGS {
+            for (trajectory, field) in [(1.0, 0.0), (0.0, 1.0), (0.3, 2.0)] {
+                for dimension in [2, 3] {
+                    let scene = scene(dimension, step, forcing, Weights { trajectory, field });
+                    let (forward, adjoint, losses) = match dimension {
+                        2 => both::<2>(&scene, Storage::All),
+                        _ => both::<3>(&scene, Storage::All),
+                    };
+                    assert!((losses[0] - losses[1]).abs() <= 1e-13 * losses[0]);
+                    let size = forward.iter().map(|g| g * g).sum::<f64>().sqrt();
+                    for (a, b) in forward.iter().zip(adjoint) {
+                        worst = worst.max((a - b).abs() / (a.abs() + 1e-4 * size));
+                        assert!(
+                            (a - b).abs() <= 1e-10 * a.abs() + 1e-13 * size,
+                            "{step:?} {forcing} {trajectory} {dimension}D: {forward:?} {adjoint:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+    println!("largest relative difference {worst:.1e}");
+}
+
+#[test]
+fn checkpoints_give_the_bits_of_full_storage() {
+    for step in [Step::KickDriftKick, Step::Paper] {
+        let mut scene = scene(3, step, "paper", Weights { trajectory: 1.0, field: 1.0 });
+        if let Some(learn) = &mut scene.learn {
+            learn.frames = 11;
+        }
+        let (_, everything, _) = both::<3>(&scene, Storage::All);
+        for snapshots in [1, 2, 3, 20] {
+            let (_, few, _) = both::<3>(&scene, Storage::Checkpoints(snapshots));
+            assert_eq!(everything.map(f64::to_bits), few.map(f64::to_bits), "{step:?} {snapshots}");
+        }
+    }
+}
