@@ -42,7 +42,14 @@ fn both<const D: usize>(scene: &Scene, storage: Storage) -> ([f64; 5], [f64; 5],
     let truth = Truth::<D>::generate(scene, (learn.after, learn.frames)).unwrap();
     let observations = truth.observations(scene, &learn);
     let mut guess = scene.parameters();
-    guess.0 = [0.8, 0.7, 1.3, 0.75, 0.9].map(|x| x).iter().zip(guess.0).map(|(a, b)| a * b).collect::<Vec<_>>().try_into().unwrap();
+    guess.0 = [0.8, 0.7, 1.3, 0.75, 0.9]
+        .map(|x| x)
+        .iter()
+        .zip(guess.0)
+        .map(|(a, b)| a * b)
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap();
     let by = Differentiation { parameters: Parameter::ALL.to_vec(), coupling: Coupling::Full };
     let start = &truth.states[0];
     let mut forward =

@@ -29,6 +29,7 @@ use bevy_ecs::prelude::*;
 use build::{
     insert_adjoint, insert_forcing, insert_motion, no_change, spawn_particles, spawn_sensitivities,
 };
+use std::any::Any;
 
 /// What a flow is differentiated by.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,8 +58,24 @@ struct Backward {
     back_to_start: Schedule,
 }
 
-/// What a flow carries beside its particles: sensitivities, observations, the way back.
-type Parts<'a, const D: usize> = (Option<&'a Differentiation>, Option<Observations<D>>, bool);
+/// Everything that a flow is made of.
+struct Request<const D: usize> {
+    scene: Scene,
+    state: State<D>,
+    differentiation: Option<Differentiation>,
+    observations: Option<Observations<D>>,
+    adjoint: bool,
+}
+
+#[inline(never)]
+fn assemble_2d(request: Request<2>) -> Flow<2> {
+    Flow::with_law(request)
+}
+
+#[inline(never)]
+fn assemble_3d(request: Request<3>) -> Flow<3> {
+    Flow::with_law(request)
+}
 
 /// The few operations that need the model's type, which only the scene knows.
 #[derive(Clone, Copy)]
@@ -68,6 +85,18 @@ struct Erased<const D: usize> {
     mass: fn(&World) -> f64,
     smoothing_length: fn(&World) -> f64,
     rates: fn(&World) -> MomentumRates<D>,
+}
+
+impl<const D: usize> Erased<D> {
+    fn of<M: Model<D>>() -> Self {
+        Self {
+            set: |world, parameters| world.resource_mut::<Law<M>>().0.set_parameters(parameters),
+            get: |world| *world.resource::<Law<M>>().0.parameters(),
+            mass: |world| world.resource::<Law<M>>().0.mass(),
+            smoothing_length: |world| world.resource::<Law<M>>().0.smoothing().h,
+            rates: statistics::momentum_rates::<M, D>,
+        }
+    }
 }
 
 impl<const D: usize> Flow<D> {
@@ -89,7 +118,13 @@ impl<const D: usize> Flow<D> {
         observations: Option<Observations<D>>,
     ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Ok(Self::with_law(scene, state, (differentiation, observations, false)))
+        Self::assemble(Request {
+            scene: scene.clone(),
+            state: state.clone(),
+            differentiation: differentiation.cloned(),
+            observations,
+            adjoint: false,
+        })
     }
 
     /// The flow of a scene that is compared with observations and can be run backwards.
@@ -99,15 +134,38 @@ impl<const D: usize> Flow<D> {
         observations: Observations<D>,
     ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Ok(Self::with_law(scene, state, (None, Some(observations), true)))
+        Self::assemble(Request {
+            scene: scene.clone(),
+            state: state.clone(),
+            differentiation: None,
+            observations: Some(observations),
+            adjoint: true,
+        })
     }
 
-    fn with_law(scene: &Scene, state: &State<D>, parts: Parts<'_, D>) -> Self {
+    /// Hands a request to the code of its dimension, which is compiled once, in this crate: a caller
+    /// that names `Flow<3>` does not compile every pair loop of every kernel again.
+    fn assemble(request: Request<D>) -> Result<Self> {
+        let request: Box<dyn Any> = Box::new(request);
+        let flow: Option<Box<dyn Any>> = match request.downcast::<Request<2>>() {
+            Ok(request) => Some(Box::new(assemble_2d(*request))),
+            Err(request) => match request.downcast::<Request<3>>() {
+                Ok(request) => Some(Box::new(assemble_3d(*request))),
+                Err(_) => None,
+            },
+        };
+        match flow.and_then(|flow| flow.downcast::<Self>().ok()) {
+            Some(flow) => Ok(*flow),
+            None => Err(Error::input("a flow", "2 or 3 dimensions", D, "choose one of them")),
+        }
+    }
+
+    fn with_law(request: Request<D>) -> Self {
         // The one place where a scene's choice of a law becomes a type.
-        match scene.fluid.kernel {
-            KernelName::CubicSpline => Self::with_kernel::<CubicSpline>(scene, state, parts),
-            KernelName::WendlandC2 => Self::with_kernel::<WendlandC2>(scene, state, parts),
-            KernelName::WendlandC4 => Self::with_kernel::<WendlandC4>(scene, state, parts),
+        match request.scene.fluid.kernel {
+            KernelName::CubicSpline => Self::with_kernel::<CubicSpline>(request),
+            KernelName::WendlandC2 => Self::with_kernel::<WendlandC2>(request),
+            KernelName::WendlandC4 => Self::with_kernel::<WendlandC4>(request),
         }
     }
 
@@ -123,36 +181,34 @@ impl<const D: usize> Flow<D> {
         ))
     }
 
-    fn with_kernel<K: Kernel>(scene: &Scene, state: &State<D>, parts: Parts<'_, D>) -> Self {
-        let smoothing = Smoothing::<K, D>::new(scene.fluid.smoothing_length);
-        let mass = scene.fluid.box_length.powi(D as i32) / state.positions.len() as f64;
-        Self::with_model(scene, state, parts, Physics::new(mass, smoothing, scene.parameters()))
+    fn with_kernel<K: Kernel>(request: Request<D>) -> Self {
+        let fluid = &request.scene.fluid;
+        let smoothing = Smoothing::<K, D>::new(fluid.smoothing_length);
+        let mass = fluid.box_length.powi(D as i32) / request.state.positions.len() as f64;
+        let model = Physics::new(mass, smoothing, request.scene.parameters());
+        Self::with_model(request, model)
     }
 
-    fn with_model<M: Model<D>>(
-        scene: &Scene,
-        state: &State<D>,
-        (differentiation, observations, adjoint): Parts<'_, D>,
-        model: M,
-    ) -> Self {
+    fn with_model<M: Model<D>>(request: Request<D>, model: M) -> Self {
+        let Request { scene, state, differentiation, observations, adjoint } = request;
         let mut world = World::new();
         let needs = Needs {
             step: scene.time.step,
-            stirring: insert_forcing(&mut world, scene),
+            stirring: insert_forcing(&mut world, &scene),
             sensitivities: differentiation.is_some(),
             adjoint,
             loss: observations.is_some(),
         };
-        insert_motion::<D>(&mut world, scene);
+        insert_motion::<D>(&mut world, &scene);
         world.insert_resource(Law(model));
-        spawn_particles(&mut world, state);
+        spawn_particles(&mut world, &state);
         if adjoint {
             insert_adjoint::<D>(&mut world);
         }
-        let columns = differentiation.map(|d| d.parameters.clone()).unwrap_or_default();
-        if let Some(differentiation) = differentiation {
+        if let Some(differentiation) = &differentiation {
             spawn_sensitivities::<D>(&mut world, state.positions.len(), differentiation);
         }
+        let columns = differentiation.map(|d| d.parameters).unwrap_or_default();
         if let Some(observations) = observations {
             world.insert_resource(LossSum::new(columns.len().div_ceil(WIDTH)));
             world.insert_resource(observations);
@@ -167,15 +223,7 @@ impl<const D: usize> Flow<D> {
                 retreat: systems::retreat::<M, D>(needs),
                 back_to_start: systems::back_to_start::<M, D>(needs),
             }),
-            law: Erased {
-                set: |world, parameters| {
-                    world.resource_mut::<Law<M>>().0.set_parameters(parameters)
-                },
-                get: |world| *world.resource::<Law<M>>().0.parameters(),
-                mass: |world| world.resource::<Law<M>>().0.mass(),
-                smoothing_length: |world| world.resource::<Law<M>>().0.smoothing().h,
-                rates: statistics::momentum_rates::<M, D>,
-            },
+            law: Erased::of::<M>(),
             columns,
         }
     }
