@@ -5,6 +5,7 @@ use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::models::{Parameter, Parameters};
 use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
 use crate::scene::{Learn, Optimiser, Scene};
+use crate::sensitivity::{Gradient, adjoint_gradient};
 use crate::systems::loss::Observations;
 use rand::RngExt;
 
@@ -21,7 +22,7 @@ pub struct Evaluation {
     pub field: f64,
     /// `∂loss/∂parameters`.
     pub gradient: Vec<f64>,
-    /// Gauss–Newton matrix, row by row.
+    /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
     pub normal: Vec<f64>,
 }
 
@@ -58,6 +59,7 @@ pub struct Learner<const D: usize> {
     learn: Learn,
     fixed: Parameters<f64>,
     frames: usize,
+    gradient: Gradient,
 }
 
 impl<const D: usize> Learner<D> {
@@ -71,11 +73,18 @@ impl<const D: usize> Learner<D> {
                 "say what is to be learned, or run `simulate`",
             )
         })?;
-        let differentiation =
-            Differentiation { parameters: learn.parameters.clone(), coupling: learn.coupling };
+        let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+        let gradient = learn.gradient.choose(learn.parameters.len(), residuals);
         let frames = observations.frames.len();
-        let flow = Flow::build(scene, &from, Some(&differentiation), Some(observations))?;
-        Ok(Self { flow, from, learn, fixed: scene.parameters(), frames })
+        let flow = match gradient {
+            Gradient::Adjoint => Flow::with_adjoint(scene, &from, observations)?,
+            Gradient::Auto | Gradient::Forward => {
+                let (parameters, coupling) = (learn.parameters.clone(), learn.coupling);
+                let by = Differentiation { parameters, coupling };
+                Flow::build(scene, &from, Some(&by), Some(observations))?
+            }
+        };
+        Ok(Self { flow, from, learn, fixed: scene.parameters(), frames, gradient })
     }
 
     /// The flow that predicts.
@@ -114,6 +123,9 @@ impl<const D: usize> Learner<D> {
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.flow.set_parameters(self.parameters(learned));
         self.flow.set_window(window);
+        if self.gradient == Gradient::Adjoint {
+            return self.evaluate_backwards(learned, window);
+        }
         self.flow.reset(&self.from);
         for _ in 0..window {
             self.flow.step()?;
@@ -129,6 +141,24 @@ impl<const D: usize> Learner<D> {
             gradient: add(loss.trajectory.gradient(count), loss.field.gradient(count)),
             normal: add(loss.trajectory.normal(count), loss.field.normal(count)),
         })
+    }
+
+    fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
+        let storage = self.learn.storage;
+        let found = adjoint_gradient(&mut self.flow, &self.from, window as u64, storage)?;
+        Ok(Evaluation {
+            parameters: learned.to_vec(),
+            loss: found.loss.trajectory.value + found.loss.field.value,
+            trajectory: found.loss.trajectory.value,
+            field: found.loss.field.value,
+            gradient: self.learn.parameters.iter().map(|&p| found.gradient.get(p)).collect(),
+            normal: Vec::new(),
+        })
+    }
+
+    /// How the gradient is found.
+    pub fn gradient(&self) -> Gradient {
+        self.gradient
     }
 
     /// Searches from `guess`, through growing windows, and calls `watch` after each iteration.

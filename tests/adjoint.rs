@@ -1,6 +1,7 @@
 //! The adjoint: all parameters at the price of one way back.
 
 use whirls::flow::{Differentiation, Flow};
+use whirls::learn::Learner;
 use whirls::models::Parameter;
 use whirls::scene::{Scene, Weights};
 use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
@@ -112,5 +113,59 @@ fn checkpoints_give_the_bits_of_full_storage() {
             let (_, few, _) = both::<3>(&scene, Storage::Checkpoints(snapshots));
             assert_eq!(everything.map(f64::to_bits), few.map(f64::to_bits), "{step:?} {snapshots}");
         }
+    }
+}
+
+#[test]
+fn a_search_by_adjoint_follows_the_search_by_forward_gradients() {
+    let search = |gradient: &str, storage: &str| {
+        let overrides: Vec<String> = [
+            "fluid.particles_per_side=8",
+            "fluid.smoothing_length=0.67",
+            "learn.after=4",
+            "learn.frames=4",
+            "learn.windows=[]",
+            "learn.iterations=15",
+            "learn.guess={c=8,alpha=0.5,beta=1,gamma=5}",
+            "learn.optimiser={kind='adam',rate=0.1}",
+            &format!("learn.gradient={gradient}"),
+            &format!("learn.storage={storage}"),
+        ]
+        .map(str::to_owned)
+        .to_vec();
+        let scene = Scene::open("inverse-3d", &overrides).unwrap();
+        let learn = scene.learn.clone().unwrap();
+        let truth = Truth::<3>::generate(&scene, (learn.after, learn.frames)).unwrap();
+        let observations = truth.observations(&scene, &learn);
+        let mut learner = Learner::new(&scene, truth.states[0].clone(), observations).unwrap();
+        let guess = learner.guess(1);
+        learner.run(guess, &mut |_| Ok(())).unwrap().evaluation
+    };
+    let forward = search("forward", "all");
+    for found in [search("adjoint", "all"), search("adjoint", "{checkpoints=2}")] {
+        assert!((found.loss - forward.loss).abs() < 1e-10 * forward.loss);
+        for (a, b) in found.parameters.iter().zip(&forward.parameters) {
+            assert!((a - b).abs() < 1e-10, "{a} against {b}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_combined_with_the_adjoint_is_refused_with_a_reason() {
+    for (overrides, expected) in [
+        (vec!["learn.gradient=adjoint"], "residual"),
+        (
+            vec![
+                "learn.gradient=adjoint",
+                "learn.optimiser={kind='adam',rate=0.1}",
+                "learn.coupling=local",
+            ],
+            "exact",
+        ),
+    ] {
+        let overrides: Vec<String> = overrides.into_iter().map(str::to_owned).collect();
+        let error = Scene::open("inverse-3d", &overrides).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains(expected), "{error}");
     }
 }

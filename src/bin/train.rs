@@ -16,8 +16,8 @@ use whirls::learn::{Iteration, Learner, Outcome};
 use whirls::models::Parameter;
 use whirls::recording::{self, Level, Recorder, Recording, TrainStep};
 use whirls::run::{frame, run_info, run_recorded, truth_from_recording};
-use whirls::scene::Learn;
-use whirls::sensitivity::{ComparedSlope, compare_with_differences};
+use whirls::scene::{Learn, Optimiser};
+use whirls::sensitivity::{ComparedSlope, Gradient, compare_with_differences};
 use whirls::truth::Truth;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -37,7 +37,7 @@ struct Arguments {
     /// Go on from the last parameters of an earlier recording.
     #[arg(long, value_name = "FILE.mcap")]
     resume: Option<PathBuf>,
-    /// Compare the gradient at the first guess with central differences, and stop.
+    /// Compare forward gradient, adjoint and central differences at the first guess, and stop.
     #[arg(long)]
     check_gradient: bool,
     /// Show truth and search in a Rerun viewer once recorded (needs the feature `viewer`).
@@ -107,7 +107,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         return explain(learner.flow_mut());
     }
     if arguments.check_gradient {
-        return check_gradient(&mut learner, &guess, lesson.learn.frames);
+        return check_gradient(scene, &lesson, &guess);
     }
     let path = arguments
         .record
@@ -138,7 +138,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     recorder.finish()?;
     let outcome = outcome?;
     let train = clock.elapsed().as_secs_f64();
-    let report = report(scene, &lesson, &outcome, (train, path));
+    let report = report(scene, &lesson, &outcome, (train, path, learner.gradient().name()));
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -258,7 +258,7 @@ fn report<const D: usize>(
     scene: &Scene,
     lesson: &Lesson<D>,
     outcome: &Outcome,
-    (train, recording): (f64, PathBuf),
+    (train, recording, gradient): (f64, PathBuf, &'static str),
 ) -> Report {
     let named = |values: &[f64]| {
         let names = lesson.learn.parameters.iter().map(|p: &Parameter| p.name());
@@ -269,7 +269,7 @@ fn report<const D: usize>(
         model: "physics",
         particles: lesson.truth.densities[0].len(),
         steps: lesson.learn.frames,
-        gradient: "forward",
+        gradient,
         iterations: outcome.iterations,
         loss_initial: outcome.initial_loss,
         loss_final: outcome.evaluation.loss,
@@ -301,21 +301,41 @@ fn describe(report: &Report) {
     say(format!("recorded in {}", report.recording.display()));
 }
 
-/// Prints the gradient at a guess beside central differences.
-fn check_gradient<const D: usize>(
-    learner: &mut Learner<D>,
-    guess: &[f64],
-    frames: usize,
-) -> Result<()> {
+/// Prints the gradient at a guess, forward and adjoint, beside central differences, and their costs.
+fn check_gradient<const D: usize>(scene: &Scene, lesson: &Lesson<D>, guess: &[f64]) -> Result<()> {
+    let frames = lesson.learn.frames;
+    let learner = |gradient| {
+        let mut scene = scene.clone();
+        if let Some(learn) = &mut scene.learn {
+            // An optimiser that takes either.
+            learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
+            learn.gradient = gradient;
+        }
+        let observations = lesson.truth.observations(&scene, &lesson.learn);
+        let mut learner = Learner::new(&scene, lesson.truth.states[0].clone(), observations)?;
+        learner.evaluate(guess, frames)?;
+        let clock = Instant::now();
+        let evaluation = learner.evaluate(guess, frames)?;
+        Ok::<_, Error>((learner, evaluation, clock.elapsed().as_secs_f64()))
+    };
+    let (mut forward, by_forward, forward_seconds) = learner(Gradient::Forward)?;
+    let (_, by_adjoint, adjoint_seconds) = learner(Gradient::Adjoint)?;
     let clock = Instant::now();
-    let exact = learner.evaluate(guess, frames)?;
+    let compared = compare_with_differences(&mut forward, &by_forward, frames)?;
     let seconds = clock.elapsed().as_secs_f64();
-    say(format!("loss {:.6e} at {guess:.6?}; forward gradient in {seconds:.3} s", exact.loss));
-    say("  parameter  forward                 central differences     relative difference");
-    for check in compare_with_differences(learner, &exact, frames)? {
-        let ComparedSlope { parameter, exact, central, relative } = check;
-        say(format!("  {:9}  {exact:+.15e} {central:+.15e} {relative:.1e}", parameter.name()));
+    say(format!("loss {:.6e} at {guess:.6?}", by_forward.loss));
+    say("  parameter  forward                 against adjoint   against differences");
+    for (check, adjoint) in compared.iter().zip(&by_adjoint.gradient) {
+        let ComparedSlope { parameter, exact, relative, .. } = check;
+        let apart = ((adjoint - exact) / exact).abs();
+        say(format!(
+            "  {:9}  {exact:+.15e}  {apart:.1e}           {relative:.1e}",
+            parameter.name()
+        ));
     }
+    say(format!(
+        "seconds: forward {forward_seconds:.3}, adjoint {adjoint_seconds:.3}, differences {seconds:.3}"
+    ));
     Ok(())
 }
 

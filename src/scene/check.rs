@@ -3,6 +3,7 @@
 use super::{Forcing, Learn, Optimiser, Scene};
 use crate::error::{Error, Result};
 use crate::models::Parameter;
+use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
 type Requirement = (bool, &'static str, &'static str, String);
@@ -126,6 +127,8 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     sorted.dedup();
     let weights = learn.loss;
     let ordered = learn.windows.windows(2).all(|pair| pair[0] < pair[1]);
+    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+    let adjoint = learn.gradient == Gradient::Adjoint;
     let rate = match learn.optimiser {
         Optimiser::LevenbergMarquardt { damping } => damping,
         Optimiser::Adam { rate, .. } | Optimiser::Rmsprop { rate, .. } => rate,
@@ -158,6 +161,18 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
             "learn.windows",
             "growing numbers of frames between 1 and learn.frames",
             format!("{:?}", learn.windows),
+        ),
+        (
+            !(second_order && adjoint),
+            "learn.gradient",
+            "\"forward\" with the optimiser levenberg-marquardt, which needs the derivatives of every residual",
+            "\"adjoint\"".to_owned(),
+        ),
+        (
+            !(adjoint && learn.coupling == Coupling::Local),
+            "learn.coupling",
+            "\"full\" with the adjoint, which is always exact",
+            "\"local\"".to_owned(),
         ),
         (positive(rate), "learn.optimiser", "a positive rate or damping", format!("{rate}")),
         (learn.target >= 0.0, "learn.target", "zero or more", format!("{}", learn.target)),

@@ -9,7 +9,7 @@ mod read;
 pub use read::SHIPPED;
 
 use crate::forcing::Power;
-use crate::sensitivity::Coupling;
+use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
 use serde::{Deserialize, Serialize};
@@ -170,6 +170,12 @@ pub struct Learn {
     /// Nodes of the field's mesh along each axis; as many as particles where it is not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<usize>,
+    /// How the gradient is found; all ways agree to round-off.
+    #[serde(default)]
+    pub gradient: Gradient,
+    /// What an adjoint keeps of the way forward.
+    #[serde(default)]
+    pub storage: Storage,
     /// Which derivatives the sensitivities keep.
     #[serde(default)]
     pub coupling: Coupling,

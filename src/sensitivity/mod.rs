@@ -1,7 +1,9 @@
 //! How a flow is differentiated.
 //!
 //! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and pass through the linearised step, beside
-//! the flow itself: each system of `systems/` has its tangent in the same file.
+//! the flow itself: each system of `systems/` has its tangent in the same file. The adjoint goes the
+//! other way, from the loss back through the pullback of every system, in the reverse of the step's
+//! order. Both differentiate the discrete step that is run, and agree to round-off.
 
 mod adjoint;
 mod check;
@@ -10,6 +12,49 @@ pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
 pub use check::{ComparedSlope, compare_with_differences};
 
 use serde::{Deserialize, Serialize};
+
+/// How a gradient is found.
+///
+/// | way | cost in forward runs | recommended |
+/// |---|---|---|
+/// | `forward` | 1, and 1 to 2 more per eight parameters | up to eight parameters; the only one that gives residual derivatives, which Levenberg–Marquardt needs |
+/// | `adjoint` | about 3 to 4, for any number of parameters | above; memory for the way back |
+/// | `auto` | the cheaper of the two | default |
+///
+/// `train --check-gradient` prints what both cost on the scene at hand. The choice of `auto` is made
+/// from the number of parameters, not by the clock, so that equal seeds give equal bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Gradient {
+    /// The cheaper of the two (default).
+    #[default]
+    Auto,
+    /// Sensitivities beside the flow.
+    Forward,
+    /// One way back.
+    Adjoint,
+}
+
+impl Gradient {
+    /// The way taken for `parameters` parameters; `residuals` says whether the optimiser needs the
+    /// derivatives of every residual.
+    pub fn choose(self, parameters: usize, residuals: bool) -> Self {
+        match self {
+            Self::Auto if residuals || parameters <= crate::scalar::WIDTH => Self::Forward,
+            Self::Auto => Self::Adjoint,
+            given => given,
+        }
+    }
+
+    /// Its name in scenes and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Forward => "forward",
+            Self::Adjoint => "adjoint",
+        }
+    }
+}
 
 /// Which derivatives of the force a forward sensitivity keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
