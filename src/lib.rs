@@ -8,6 +8,7 @@ pub mod kernel;
 pub mod learn;
 pub mod losses;
 pub mod models;
+pub mod network;
 pub mod optimisers;
 pub mod packed;
 pub mod recording;

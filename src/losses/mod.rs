@@ -1,13 +1,17 @@
 //! Losses: how far a predicted flow is from the truth, with exact gradients.
 //!
-//! Both losses here are sums of squares; each observed frame adds its residuals `R` and their
+//! [`trajectory_loss`] and [`field_loss`] are sums of squares; each observed frame adds its residuals `R` and their
 //! derivatives `J = ∂R/∂θ` to one [`SquareSum`], which serves gradient descent (`2 Σ w R J`) and
 //! Levenberg–Marquardt (`Σ w J Jᵀ`) alike, in memory that does not grow with the number of residuals.
 
 mod field;
+mod increments;
 mod trajectory;
 
 pub use field::{Mesh, Points, field, field_adjoint, field_loss};
+pub use increments::{
+    Density1d, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
+};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
 use crate::scalar::{Lanes, WIDTH};

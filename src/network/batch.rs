@@ -1,0 +1,251 @@
+//! Eight inputs at once: the value of a network and its derivatives by reverse mode.
+//!
+//! Lane `l` of every number belongs to pair (or particle) `l`; weights are the same in all lanes.
+//! Everything here is inlined into its caller, who dispatches once to the widest instructions
+//! (`pulp`), and works in a [`Workspace`], so that no call allocates.
+//!
+//! The loops have a shape for a reason. An innermost loop whose rounds are independent of each other
+//! invites the compiler to vectorise over the rounds, with gathers, instead of over the lanes, at ten
+//! times the time; so every innermost loop here is a sum, or walks a matrix with two counters. None
+//! steps through a slice in chunks or strides, whose number costs a division.
+
+use super::elementary::tanh;
+use super::{Layer, LayerMut, Network};
+use crate::scalar::{Lanes, Scalar};
+
+/// What an evaluation leaves for its derivatives: [`Network::value`] fills it, the others read it.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    input: Vec<Lanes>,
+    /// `y¹`, the first hidden layer.
+    first: Vec<Lanes>,
+    /// `y²`, the second.
+    second: Vec<Lanes>,
+    output: Vec<Lanes>,
+    /// Derivatives by what the first hidden layer's `tanh` receives.
+    first_cotangent: Vec<Lanes>,
+    /// By what the second's receives.
+    second_cotangent: Vec<Lanes>,
+    /// One in the output of which a derivative is asked, zero in the others.
+    chosen: Vec<Lanes>,
+}
+
+impl Workspace {
+    /// Room for one evaluation of `network`.
+    pub fn new(network: &Network) -> Self {
+        let zeros = |count: usize| vec![Lanes::ZERO; count];
+        Self {
+            input: zeros(network.inputs()),
+            first: zeros(network.height()),
+            second: zeros(network.height()),
+            output: zeros(network.outputs()),
+            first_cotangent: zeros(network.height()),
+            second_cotangent: zeros(network.height()),
+            chosen: zeros(network.outputs()),
+        }
+    }
+
+    /// What [`Network::value`] returned last, `[outputs]`.
+    #[inline(always)]
+    pub fn output(&self) -> &[Lanes] {
+        &self.output
+    }
+}
+
+/// Where [`Network::pullback`] writes.
+#[derive(Debug)]
+pub struct Cotangents<'a> {
+    /// `[inputs]`: overwritten.
+    pub input: &'a mut [Lanes],
+    /// `[parameters]`: added to, lane by lane; the caller sums the lanes once, at the end
+    /// ([`Lanes::sum`]).
+    pub parameters: &'a mut [Lanes],
+}
+
+impl Network {
+    /// The outputs `[outputs]` for eight inputs `[inputs]`: [`Network::plain`], lane by lane.
+    #[inline(always)]
+    pub fn value<'w>(
+        &self,
+        parameters: &[f64],
+        input: &[Lanes],
+        workspace: &'w mut Workspace,
+    ) -> &'w [Lanes] {
+        let [first, second, last] = self.layers(parameters);
+        workspace.input.copy_from_slice(input);
+        first.hidden(&workspace.input, &mut workspace.first);
+        second.hidden(&workspace.first, &mut workspace.second);
+        last.affine(&workspace.second, &mut workspace.output);
+        &workspace.output
+    }
+
+    /// The transposed derivative of the last [`Network::value`]: from `λ = ∂L/∂out` `[outputs]`,
+    /// `∂L/∂in` and, added up, `∂L/∂θ`.
+    ///
+    /// With `λ = 1` it gives both gradients of a network's only output. In forward mode the direct
+    /// share of the parameters in `Σⱼ wᵢⱼ NN(ij)` is the same sum: pull `wᵢⱼ` back for all neighbours
+    /// of one particle, then sum the lanes once.
+    #[inline(always)]
+    pub fn pullback(
+        &self,
+        parameters: &[f64],
+        output_cotangent: &[Lanes],
+        workspace: &mut Workspace,
+        into: Cotangents<'_>,
+    ) {
+        let layers = self.layers(parameters);
+        let [first_into, second_into, last_into] = self.layers_mut(into.parameters);
+        pull(&layers, output_cotangent, workspace);
+        last_into.add(output_cotangent, &workspace.second);
+        second_into.add(&workspace.second_cotangent, &workspace.first);
+        first_into.add(&workspace.first_cotangent, &workspace.input);
+        layers[0].transposed(&workspace.first_cotangent, into.input);
+    }
+
+    /// `∂out/∂in` of the last [`Network::value`], row by row, `[outputs × inputs]`.
+    #[inline(always)]
+    pub fn jacobian(&self, parameters: &[f64], workspace: &mut Workspace, jacobian: &mut [Lanes]) {
+        let layers = self.layers(parameters);
+        for (output, row) in jacobian.chunks_exact_mut(self.inputs()).enumerate() {
+            pull_chosen(&layers, output, workspace);
+            layers[0].transposed(&workspace.first_cotangent, row);
+        }
+    }
+
+    /// `∂out/∂θ` of one output of the last [`Network::value`], `[parameters]`: overwrites `gradient`.
+    #[inline(always)]
+    pub fn parameter_gradient(
+        &self,
+        parameters: &[f64],
+        output: usize,
+        workspace: &mut Workspace,
+        gradient: &mut [Lanes],
+    ) {
+        let layers = self.layers(parameters);
+        gradient.fill(Lanes::ZERO);
+        let [first_into, second_into, last_into] = self.layers_mut(gradient);
+        pull_chosen(&layers, output, workspace);
+        last_into.add(&workspace.chosen, &workspace.second);
+        second_into.add(&workspace.second_cotangent, &workspace.first);
+        first_into.add(&workspace.first_cotangent, &workspace.input);
+    }
+
+    /// Forward mode for one pair and a block of eight parameters: `δout = J δin`, `[outputs]`.
+    ///
+    /// `jacobian` is that of [`Network::jacobian`], of which `lane` names the pair; the lanes of
+    /// `input_tangent` `[inputs]` and of the result are parameters.
+    #[inline(always)]
+    pub fn tangent(
+        &self,
+        jacobian: &[Lanes],
+        lane: usize,
+        input_tangent: &[Lanes],
+        output_tangent: &mut [Lanes],
+    ) {
+        let rows = jacobian.chunks_exact(self.inputs());
+        for (change, row) in output_tangent.iter_mut().zip(rows) {
+            let mut sum = Lanes::ZERO;
+            for (slope, x) in row.iter().zip(input_tangent) {
+                sum += *x * slope.to_array()[lane];
+            }
+            *change = sum;
+        }
+    }
+}
+
+/// From derivatives by the outputs to those by what each `tanh` receives.
+#[inline(always)]
+fn pull([_, second, last]: &[Layer<'_, f64>; 3], cotangent: &[Lanes], workspace: &mut Workspace) {
+    let Workspace { first, second: y2, first_cotangent, second_cotangent, .. } = workspace;
+    last.transposed_hidden(cotangent, y2, second_cotangent);
+    second.transposed_hidden(second_cotangent, first, first_cotangent);
+}
+
+/// The same for one output alone.
+#[inline(always)]
+fn pull_chosen(layers: &[Layer<'_, f64>; 3], output: usize, workspace: &mut Workspace) {
+    let mut chosen = std::mem::take(&mut workspace.chosen);
+    chosen.fill(Lanes::ZERO);
+    chosen[output] = Lanes::of(1.0);
+    pull(layers, &chosen, workspace);
+    workspace.chosen = chosen;
+}
+
+impl Layer<'_, f64> {
+    /// `W x + b`, unit by unit.
+    #[inline(always)]
+    fn affine(&self, x: &[Lanes], units: &mut [Lanes]) {
+        let mut rows = self.weights;
+        for (unit, &bias) in units.iter_mut().zip(self.bias) {
+            let (row, rest) = rows.split_at(x.len());
+            *unit = row_times(row, x, bias);
+            rows = rest;
+        }
+    }
+
+    /// `tanh(W x + b)`, unit by unit.
+    #[inline(always)]
+    fn hidden(&self, x: &[Lanes], units: &mut [Lanes]) {
+        let mut rows = self.weights;
+        for (unit, &bias) in units.iter_mut().zip(self.bias) {
+            let (row, rest) = rows.split_at(x.len());
+            *unit = tanh(row_times(row, x, bias));
+            rows = rest;
+        }
+    }
+
+    /// `Wᵀ λ`.
+    #[inline(always)]
+    fn transposed(&self, cotangent: &[Lanes], into: &mut [Lanes]) {
+        let receives = into.len();
+        for (column, into) in into.iter_mut().enumerate() {
+            *into = self.column_times(column, receives, cotangent);
+        }
+    }
+
+    /// `Wᵀ λ` where `x = tanh z` went in, by `z`: times `1 − x²`.
+    #[inline(always)]
+    fn transposed_hidden(&self, cotangent: &[Lanes], x: &[Lanes], into: &mut [Lanes]) {
+        for (column, (into, &y)) in into.iter_mut().zip(x).enumerate() {
+            *into = self.column_times(column, x.len(), cotangent) * (Lanes::of(1.0) - y * y);
+        }
+    }
+
+    /// One column of `W` times `λ`.
+    #[inline(always)]
+    fn column_times(&self, column: usize, receives: usize, cotangent: &[Lanes]) -> Lanes {
+        let mut sum = Lanes::ZERO;
+        let mut place = column;
+        for &cotangent in cotangent {
+            sum += cotangent * self.weights[place];
+            place += receives;
+        }
+        sum
+    }
+}
+
+/// One row of `W` times `x`, and the bias.
+#[inline(always)]
+fn row_times(row: &[f64], x: &[Lanes], bias: f64) -> Lanes {
+    let mut sum = Lanes::of(bias);
+    for (&weight, &x) in row.iter().zip(x) {
+        sum += x * weight;
+    }
+    sum
+}
+
+impl LayerMut<'_, Lanes> {
+    /// `W̄ += λ xᵀ`, `b̄ += λ`.
+    #[inline(always)]
+    fn add(self, cotangent: &[Lanes], x: &[Lanes]) {
+        let (mut unit, mut column) = (0, 0);
+        for weight in self.weights {
+            *weight += cotangent[unit] * x[column];
+            column += 1;
+            if column == x.len() {
+                self.bias[unit] += cotangent[unit];
+                (unit, column) = (unit + 1, 0);
+            }
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! The multilayer perceptron that stands in for a law, `Rⁱ → tanh(Rˡ) → tanh(Rˡ) → Rᵒ`.
+//!
+//! A [`Network`] is a shape; its numbers live in one flat slice, so that an optimiser sees a vector.
+//! [`Network::plain`] is the formula over any [`Scalar`], slow and certain; [`Network::value`] and its
+//! derivatives evaluate eight inputs at once, write into a [`Workspace`] and never allocate.
+
+mod batch;
+mod elementary;
+
+pub use batch::{Cotangents, Workspace};
+pub use elementary::{COUNT, exp, tanh};
+
+use crate::error::{Error, Result};
+use crate::scalar::Scalar;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+/// The shape of a perceptron with two hidden layers of `height` units each:
+/// `y¹ = tanh(W¹x + b¹)`, `y² = tanh(W²y¹ + b²)`, `out = W³y² + b³` (section 4.1 of the paper).
+///
+/// Its parameters are one slice, layer by layer: `W¹ [height × inputs]`, `b¹ [height]`,
+/// `W² [height × height]`, `b² [height]`, `W³ [outputs × height]`, `b³ [outputs]`, where row `j` of a
+/// matrix holds what unit `j` receives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Network {
+    inputs: usize,
+    height: usize,
+    outputs: usize,
+}
+
+/// One layer's share of a slice laid out as the parameters are.
+#[derive(Clone, Copy, Debug)]
+struct Layer<'a, T> {
+    /// Row by row.
+    weights: &'a [T],
+    bias: &'a [T],
+}
+
+/// The same, to be written.
+#[derive(Debug)]
+struct LayerMut<'a, T> {
+    weights: &'a mut [T],
+    bias: &'a mut [T],
+}
+
+impl Network {
+    /// The shape `inputs → height → height → outputs`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where one of the three is zero.
+    pub fn new(inputs: usize, height: usize, outputs: usize) -> Result<Self> {
+        if inputs == 0 || height == 0 || outputs == 0 {
+            return Err(Error::input(
+                "network",
+                "at least one input, one unit and one output",
+                format!("{inputs} → {height} → {height} → {outputs}"),
+                "give every layer at least one",
+            ));
+        }
+        Ok(Self { inputs, height, outputs })
+    }
+
+    /// Numbers that go in.
+    #[inline(always)]
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// Units in each hidden layer.
+    #[inline(always)]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Numbers that come out.
+    #[inline(always)]
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// `(receives, units)` of each layer.
+    #[inline(always)]
+    fn shapes(&self) -> [(usize, usize); 3] {
+        [(self.inputs, self.height), (self.height, self.height), (self.height, self.outputs)]
+    }
+
+    /// Number of parameters, `l(i + 1) + l(l + 1) + o(l + 1)`.
+    #[inline(always)]
+    pub fn parameter_count(&self) -> usize {
+        let [a, b, c] = self.shapes();
+        a.1 * (a.0 + 1) + b.1 * (b.0 + 1) + c.1 * (c.0 + 1)
+    }
+
+    /// Parameters to start from: weights uniform in `±√(6/(receives + units))` of their layer (Glorot &
+    /// Bengio 2010), biases zero. The same generator gives the same numbers on every machine.
+    pub fn initial(&self, generator: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut parameters = Vec::with_capacity(self.parameter_count());
+        for (receives, units) in self.shapes() {
+            let bound = (6.0 / (receives + units) as f64).sqrt();
+            for _ in 0..receives * units {
+                parameters.push(bound * (2.0 * generator.random::<f64>() - 1.0));
+            }
+            parameters.resize(parameters.len() + units, 0.0);
+        }
+        parameters
+    }
+
+    /// The output for one input, by the formula as it stands, over any [`Scalar`]: numbers, or dual
+    /// numbers for derivatives.
+    ///
+    /// Allocates and does not vectorise: the oracle of [`Network::value`]. `parameters` holds
+    /// [`Network::parameter_count`] numbers, `input` as many as [`Network::inputs`].
+    pub fn plain<T: Scalar>(&self, parameters: &[T], input: &[T]) -> Vec<T> {
+        let [first, second, last] = self.layers(parameters);
+        let hidden = |layer: Layer<'_, T>, x: &[T]| -> Vec<T> {
+            layer.apply(x).into_iter().map(T::tanh).collect()
+        };
+        last.apply(&hidden(second, &hidden(first, input)))
+    }
+
+    /// A slice laid out as the parameters are, layer by layer.
+    #[inline(always)]
+    fn layers<'a, T>(&self, parameters: &'a [T]) -> [Layer<'a, T>; 3] {
+        debug_assert_eq!(parameters.len(), self.parameter_count());
+        let [a, b, c] = self.shapes();
+        let (first, rest) = Layer::split(parameters, a);
+        let (second, rest) = Layer::split(rest, b);
+        let (last, _) = Layer::split(rest, c);
+        [first, second, last]
+    }
+
+    /// The same, to be written.
+    #[inline(always)]
+    fn layers_mut<'a, T>(&self, parameters: &'a mut [T]) -> [LayerMut<'a, T>; 3] {
+        debug_assert_eq!(parameters.len(), self.parameter_count());
+        let [a, b, c] = self.shapes();
+        let (first, rest) = LayerMut::split(parameters, a);
+        let (second, rest) = LayerMut::split(rest, b);
+        let (last, _) = LayerMut::split(rest, c);
+        [first, second, last]
+    }
+}
+
+impl<'a, T> Layer<'a, T> {
+    #[inline(always)]
+    fn split(parameters: &'a [T], (receives, units): (usize, usize)) -> (Self, &'a [T]) {
+        let (weights, rest) = parameters.split_at(receives * units);
+        let (bias, rest) = rest.split_at(units);
+        (Self { weights, bias }, rest)
+    }
+}
+
+impl<T: Scalar> Layer<'_, T> {
+    /// `W x + b`.
+    fn apply(&self, x: &[T]) -> Vec<T> {
+        let rows = self.weights.chunks_exact(x.len()).zip(self.bias);
+        let unit = |(row, &bias): (&[T], &T)| {
+            row.iter().zip(x).fold(bias, |sum, (&weight, &x)| sum + weight * x)
+        };
+        rows.map(unit).collect()
+    }
+}
+
+impl<'a, T> LayerMut<'a, T> {
+    #[inline(always)]
+    fn split(parameters: &'a mut [T], (receives, units): (usize, usize)) -> (Self, &'a mut [T]) {
+        let (weights, rest) = parameters.split_at_mut(receives * units);
+        let (bias, rest) = rest.split_at_mut(units);
+        (Self { weights, bias }, rest)
+    }
+}
+
+#[cfg(test)]
+mod tests;
