@@ -44,15 +44,9 @@ pub fn watch<M: Model<D>, const D: usize>(
     let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
     for (r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
         for (((r, v), a), rho) in r.iter().zip(v).zip(a).zip(rho) {
-            // Of a particle gone wrong, the cause comes before its consequences.
-            let finite = [
-                ("density", rho.0.is_finite()),
-                ("acceleration", a.0.is_finite()),
-                ("velocity", v.0.is_finite()),
-                ("position", r.0.is_finite()),
-            ];
-            if let Some((quantity, _)) = finite.into_iter().find(|(_, finite)| !finite) {
-                look.not_finite.get_or_insert((quantity, row));
+            let finite = [r.0.is_finite(), v.0.is_finite(), rho.0.is_finite(), a.0.is_finite()];
+            if let Some(rank) = finite.iter().position(|finite| !finite) {
+                look.see_broken(rank, row);
             }
             let square = v.0.norm_squared();
             look.energy += 0.5 * square;
@@ -75,13 +69,25 @@ pub fn watch<M: Model<D>, const D: usize>(
 /// What was seen in one pass over the particles.
 #[derive(Default)]
 struct Look {
-    not_finite: Option<(&'static str, usize)>,
+    /// Rank of the broken quantity in [`BROKEN`], and whose.
+    not_finite: Option<(usize, usize)>,
     energy: f64,
     /// Largest signal speed, and whose.
     speed: (f64, usize),
 }
 
+/// Quantities in the order in which trouble spreads: a lost number reaches its own particle's position
+/// a step before it reaches anyone else's, while one force evaluation carries it to the accelerations
+/// of all. The first in this order therefore names where it began.
+const BROKEN: [&str; 4] = ["position", "velocity", "density", "acceleration"];
+
 impl Look {
+    fn see_broken(&mut self, rank: usize, row: usize) {
+        if self.not_finite.is_none_or(|(known, _)| rank < known) {
+            self.not_finite = Some((rank, row));
+        }
+    }
+
     fn see_speed(&mut self, speed: f64, row: usize) {
         if speed > self.speed.0 {
             self.speed = (speed, row);
@@ -95,9 +101,9 @@ impl Look {
         courant: f64,
         count: f64,
     ) -> Option<(String, String, String)> {
-        if let Some((quantity, row)) = self.not_finite {
+        if let Some((rank, row)) = self.not_finite {
             return Some((
-                format!("the {quantity} of particle {row}"),
+                format!("the {} of particle {row}", BROKEN[rank]),
                 "is not a finite number".to_owned(),
                 "take a smaller time step (time.courant or time.dt)".to_owned(),
             ));

@@ -161,7 +161,13 @@ impl Array {
             _ => npy.into_vec::<f64>(),
         };
         match values {
-            Ok(values) => Ok(Self { shape, fortran, values }),
+            Ok(values) => match values.iter().position(|x| !x.is_finite()) {
+                None => Ok(Self { shape, fortran, values }),
+                Some(place) => {
+                    let (found, remedy) = (values[place], "leave out frames that are not whole");
+                    Err(Error::input(path.display(), "finite numbers", found, remedy))
+                }
+            },
             Err(error) => refuse(format!("{kind} of shape {shape:?}: {error}")),
         }
     }

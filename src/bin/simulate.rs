@@ -82,8 +82,8 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         .as_ref()
         .map(|path| Recorder::create(path, &run_info(scene, "simulate")))
         .transpose()?;
-    flow.start()?;
-    let before = conservation(&mut flow);
+    // A flow that fails at once is reported, and recorded, by the run itself.
+    let before = flow.start().ok().map(|()| conservation(&mut flow)).unwrap_or_default();
     let bar = progress(steps, "simulate");
     let clock = Instant::now();
     let target = (recorder.as_mut(), recording::Flow::Truth);
