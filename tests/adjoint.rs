@@ -1,5 +1,8 @@
 //! The adjoint: all parameters at the price of one way back.
 
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
+
 use whirls::flow::{Differentiation, Flow};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
@@ -43,14 +46,9 @@ fn both<const D: usize>(scene: &Scene, storage: Storage) -> ([f64; 5], [f64; 5],
     let truth = Truth::<D>::generate(scene, (learn.after, learn.frames)).unwrap();
     let observations = truth.observations(scene, &learn);
     let mut guess = scene.parameters();
-    guess.0 = [0.8, 0.7, 1.3, 0.75, 0.9]
-        .map(|x| x)
-        .iter()
-        .zip(guess.0)
-        .map(|(a, b)| a * b)
-        .collect::<Vec<_>>()
-        .try_into()
-        .unwrap();
+    for (parameter, factor) in guess.0.iter_mut().zip([0.8, 0.7, 1.3, 0.75, 0.9]) {
+        *parameter *= factor;
+    }
     let by = Differentiation { parameters: Parameter::ALL.to_vec(), coupling: Coupling::Full };
     let start = &truth.states[0];
     let mut forward =

@@ -1,0 +1,366 @@
+//! The commands as a shell sees them: exit codes, standard output and error, files.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+
+#[path = "common/place.rs"]
+mod place;
+
+use place::{Place, SMALL};
+use serde_json::Value;
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+use whirls::recording::{Flow, Level, Recording};
+
+#[test]
+fn train_ends_with_the_json_object_of_its_contract() {
+    let place = Place::new();
+    let report = place.json("train", &["small.toml", "--json", "--record", "small.mcap"]);
+    let keys: Vec<&str> = report.as_object().unwrap().keys().map(String::as_str).collect();
+    let mut expected = [
+        "scene",
+        "model",
+        "particles",
+        "steps",
+        "gradient",
+        "iterations",
+        "loss_initial",
+        "loss_final",
+        "parameters",
+        "truth",
+        "seconds",
+        "recording",
+    ];
+    expected.sort_unstable();
+    assert_eq!(keys, expected);
+    assert_eq!((&report["scene"], &report["model"]), (&"small".into(), &"physics".into()));
+    assert_eq!((&report["particles"], &report["steps"]), (&512.into(), &4.into()));
+    assert_eq!(
+        (&report["gradient"], &report["recording"]),
+        (&"forward".into(), &"small.mcap".into())
+    );
+    for (name, truth) in [("c", 10.0), ("alpha", 1.0), ("beta", 2.0), ("gamma", 7.0)] {
+        let learned = report["parameters"][name].as_f64().unwrap();
+        assert_eq!(report["truth"][name], Value::from(truth));
+        assert!((learned - truth).abs() < 1e-6, "{name}: {learned}");
+    }
+    assert!(
+        report["loss_final"].as_f64().unwrap() < 1e-15 * report["loss_initial"].as_f64().unwrap()
+    );
+    assert!(report["seconds"]["truth"].is_number() && report["seconds"]["train"].is_number());
+
+    let recording = place.recording("small.mcap");
+    assert!(!recording.is_truncated());
+    assert_eq!([Flow::Truth, Flow::Learned].map(|flow| recording.frame_count(flow)), [5, 5]);
+    let steps = recording.train_steps().unwrap();
+    // The guess is row zero, before the first iteration.
+    assert_eq!(steps.len() as u64, 1 + report["iterations"].as_u64().unwrap());
+    assert_eq!(Value::from(steps[0].loss), report["loss_initial"]);
+    let last = recording.frame(Flow::Learned, 4).unwrap();
+    assert_eq!(last.positions.len(), 512);
+    assert_eq!(recording.run().parameters, ["c", "alpha", "beta", "gamma"]);
+    assert_eq!(
+        whirls::Scene::parse(&recording.run().scene_toml, "recorded", &[]).unwrap().name,
+        "small"
+    );
+}
+
+#[test]
+fn train_records_the_same_bytes_for_any_number_of_threads() {
+    let place = Place::new();
+    for threads in ["1", "2"] {
+        let name = format!("{threads}.mcap");
+        place.json("train", &["small.toml", "--json", "--threads", threads, "--record", &name]);
+    }
+    let bytes = |name: &str| std::fs::read(place.path(name)).unwrap();
+    assert!(bytes("1.mcap") == bytes("2.mcap"));
+}
+
+#[test]
+fn train_records_where_it_says_it_does_by_default() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("recordings")).unwrap();
+    let report = place.json("train", &["small.toml", "--json", "--set", "learn.iterations=1"]);
+    assert_eq!(report["recording"], Value::from("recordings/small.mcap"));
+    assert_eq!(place.recording("recordings/small.mcap").train_steps().unwrap().len(), 2);
+}
+
+#[test]
+fn train_goes_on_from_an_earlier_recording() {
+    let place = Place::new();
+    let first =
+        ["small.toml", "--json", "--set", "learn.iterations=2", "--set", "learn.windows=[]"];
+    let first = place.json("train", &[&first[..], &["--record", "first.mcap"]].concat());
+    let more = ["small.toml", "--json", "--set", "learn.windows=[]", "--resume", "first.mcap"];
+    let second = place.json("train", &[&more[..], &["--record", "second.mcap"]].concat());
+    assert_eq!(second["loss_initial"], first["loss_final"]);
+    let other = ["small.toml", "--set", "learn.parameters=['c']", "--resume", "first.mcap"];
+    place.refuses("train", &other, &["first.mcap", "over c", "c, alpha, beta, gamma"]);
+}
+
+#[test]
+fn train_learns_from_a_simulated_recording() {
+    let place = Place::new();
+    place.json("simulate", &["small.toml", "--json", "--record", "flow.mcap"]);
+    let arguments = ["small.toml", "--json", "--truth", "flow.mcap", "--record", "small.mcap"];
+    // The recorded flow carries its force across frames: it starts anew only at frame 0.
+    let report = place.json("train", &[&arguments[..], &["--set", "learn.after=0"]].concat());
+    assert!((report["parameters"]["c"].as_f64().unwrap() - 10.0).abs() < 1e-6);
+    assert!(report.get("truth").is_none(), "the truth of a recording is not known");
+    let short = ["small.toml", "--truth", "flow.mcap", "--set", "learn.after=5"];
+    place.refuses("train", &short, &["/truth/particles", "10 frames", "found 7"]);
+    let slow = ["small.toml", "--truth", "flow.mcap", "--set", "time.dt=0.01"];
+    place.refuses("train", &slow, &["frames 0.01 apart", "time.dt"]);
+    let flat = ["inverse-2d", "--truth", "flow.mcap"];
+    place.refuses("train", &flat, &["dimension 2", "found 3"]);
+}
+
+#[test]
+fn check_gradient_prints_one_line_for_each_parameter() {
+    let place = Place::new();
+    let done =
+        place.run("train", &["small.toml", "--check-gradient", "--set", "learn.guess.c=9.0"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    for name in ["c", "alpha", "beta", "gamma"] {
+        let line = done.out.lines().find(|line| line.split_whitespace().next() == Some(name));
+        let difference: f64 = line.unwrap().split_whitespace().last().unwrap().parse().unwrap();
+        assert!(difference < 1e-4, "{line:?}");
+    }
+}
+
+#[test]
+fn print_scene_prints_a_scene_that_can_be_read() {
+    let place = Place::new();
+    for command in ["train", "simulate"] {
+        let done = place.run(
+            command,
+            &["small.toml", "--print-scene", "--set", "fluid.alpha=1.5", "--seed", "9"],
+        );
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        let scene = whirls::Scene::parse(&done.out, "printed", &[]).unwrap();
+        assert_eq!((scene.fluid.alpha.to_bits(), scene.seed), (1.5_f64.to_bits(), 9));
+    }
+}
+
+#[test]
+fn explain_prints_what_runs_and_how_much_memory_it_takes() {
+    let place = Place::new();
+    for (command, tangents) in [("train", true), ("simulate", false)] {
+        let done = place.run(command, &["small.toml", "--explain"]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        for part in
+            ["sum_density", "accelerate", "kick", "drift", "watch", "bytes per particle", "in all"]
+        {
+            assert!(done.out.contains(part), "no {part}: {}", done.out);
+        }
+        assert_eq!(done.out.contains("tangent"), tangents, "{}", done.out);
+    }
+    assert!(!place.path("recordings").exists(), "nothing is recorded");
+}
+
+#[test]
+fn simulate_records_every_step_and_what_is_conserved() {
+    let place = Place::new();
+    let report = place.json("simulate", &["small.toml", "--json", "--record", "flow.mcap"]);
+    assert_eq!((&report["steps"], &report["particles"]), (&6.into(), &512.into()));
+    // 512 velocities of order one.
+    assert!(report["momentum_drift"].as_f64().unwrap() < 1e-10);
+    let recording = place.recording("flow.mcap");
+    assert_eq!(recording.frame_count(Flow::Truth), 7);
+    assert_eq!(recording.conservation().unwrap().len(), 7);
+    let report = place.json(
+        "simulate",
+        &[
+            "small.toml",
+            "--json",
+            "--record",
+            "on.mcap",
+            "--from",
+            "flow.mcap",
+            "--frame",
+            "6",
+            "--steps",
+            "2",
+        ],
+    );
+    assert_eq!(report["steps"], Value::from(2));
+    let on = place.recording("on.mcap");
+    assert_eq!(
+        on.frame(Flow::Truth, 0).unwrap().positions,
+        recording.frame(Flow::Truth, 6).unwrap().positions
+    );
+    let far = ["small.toml", "--from", "flow.mcap", "--frame", "7"];
+    place.refuses("simulate", &far, &["frame 7", "7 frames"]);
+    let none = ["small.toml", "--json", "--set", "record.every=0", "--record", "none.mcap"];
+    assert_eq!(place.json("simulate", &none)["recording"], Value::Null);
+    assert!(!place.path("none.mcap").exists());
+}
+
+/// The recording of a failed run can be read up to the failure, and says what happened.
+fn fails_with_a_recording(arguments: &[&str], reason: &str) -> usize {
+    let place = Place::new();
+    let done = place.run("simulate", &[arguments, &["--record", "bad.mcap"]].concat());
+    assert_eq!(done.code, Some(1), "{}", done.err);
+    assert!(
+        done.err.contains("error: the run diverged at step") && done.err.contains(reason),
+        "{}",
+        done.err
+    );
+    let recording = place.recording("bad.mcap");
+    assert!(!recording.is_truncated(), "the file is closed properly");
+    let log = recording.logs().unwrap();
+    let errors: Vec<_> = log.iter().filter(|line| line.level == Level::Error).collect();
+    assert_eq!(errors.len(), 1, "{log:?}");
+    assert!(errors[0].text.contains(reason), "{errors:?}");
+    recording.frame_count(Flow::Truth)
+}
+
+#[test]
+fn a_run_that_diverges_on_the_way_leaves_its_frames_and_the_reason() {
+    let hot =
+        ["small.toml", "--set", "forcing.theta=60", "--set", "limits.energy=4.0", "--steps", "200"];
+    assert!(fails_with_a_recording(&hot, "kinetic energy per unit mass") > 2);
+}
+
+#[test]
+fn a_run_that_diverges_at_once_leaves_the_reason() {
+    fails_with_a_recording(
+        &["small.toml", "--set", "time.courant=4000"],
+        "Courant number of particle",
+    );
+}
+
+#[test]
+fn bad_arguments_and_scenes_are_refused_with_exit_code_2() {
+    let place = Place::new();
+    for command in ["train", "simulate"] {
+        place.refuses(command, &["inverse-5d"], &["inverse-5d", "inverse-3d"]);
+        place.refuses(command, &["nowhere.toml"], &["cannot read nowhere.toml"]);
+        place.refuses(command, &["small.toml", "--set", "fluid.alfa=2"], &["alfa", "alpha"]);
+        place.refuses(command, &["small.toml", "--set", "fluid.alpha"], &["no '='"]);
+        place.refuses(
+            command,
+            &["small.toml", "--set", "fluid.smoothing_length=2"],
+            &["half the box"],
+        );
+        place.refuses(command, &["small.toml", "--fast"], &["--fast"]);
+        place.refuses(command, &["small.toml", "--threads", "0"], &["--threads"]);
+    }
+    place.refuses("train", &["small.toml", "--truth", "no.mcap"], &["cannot read no.mcap"]);
+    place.refuses("train", &["small.toml", "--truth", "small.toml"], &["small.toml"]);
+    place.refuses("simulate", &["small.toml", "--frame", "3"], &["--from"]);
+    place.refuses("replay", &["--info", "no.mcap"], &["no.mcap"]);
+    place.refuses("replay", &["--info", "small.toml"], &["small.toml"]);
+    place.refuses("replay", &[], &["FILE.mcap"]);
+    std::fs::write(place.path("still.toml"), SMALL.split("[learn]").next().unwrap()).unwrap();
+    place.refuses("train", &["still.toml"], &["[learn]", "simulate"]);
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_a_failure_of_the_run() {
+    let place = Place::new();
+    let done = place.run("simulate", &["small.toml", "--record", "no/such/folder/flow.mcap"]);
+    let made = place.path("no/such/folder/flow.mcap").exists();
+    assert!(made && done.code == Some(0) || done.code == Some(1), "{:?}: {}", done.code, done.err);
+}
+
+#[test]
+fn help_names_every_option() {
+    let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
+    let place = Place::new();
+    let commands: [(&str, &[&str]); 4] = [
+        ("train", &["--truth", "--record", "--resume", "--check-gradient", "--live"]),
+        ("simulate", &["--from", "--frame", "--steps", "--record"]),
+        (
+            "import",
+            &[
+                "--positions",
+                "--velocities",
+                "--densities",
+                "--dt",
+                "--box",
+                "--smoothing-length",
+                "--out",
+                "--json",
+            ],
+        ),
+        ("replay", &["--save", "--spawn", "--connect", "--recover", "--out", "--info", "--json"]),
+    ];
+    for (command, own) in commands {
+        let done = place.run(command, &["--help"]);
+        assert_eq!(done.code, Some(0));
+        let shared: &[&str] = if matches!(command, "train" | "simulate") { &scene } else { &[] };
+        for option in own.iter().chain(shared) {
+            assert!(done.out.contains(option), "{command} --help does not name {option}");
+        }
+        assert!(place.run(command, &["--version"]).out.contains(env!("CARGO_PKG_VERSION")));
+    }
+}
+
+/// Starts a long search and waits until its recording holds some iterations.
+fn long_search(place: &Place) -> Child {
+    let mut child = place
+        .command(
+            "train",
+            &[
+                "small.toml",
+                "--threads",
+                "1",
+                "--record",
+                "long.mcap",
+                "--set",
+                "learn.optimiser={kind='adam',rate=1e-7}",
+                "--set",
+                "learn.iterations=1000000",
+                "--set",
+                "learn.target=0.0",
+                "--set",
+                "learn.guess={c=9.0,alpha=0.9,beta=1.9,gamma=6.5}",
+            ],
+        )
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let patience = Instant::now();
+    while iterations(&place.path("long.mcap")) < 5 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
+        assert!(patience.elapsed() < Duration::from_secs(120), "no iteration was recorded");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child
+}
+
+/// Iterations that the recording of a running search holds; none while there is no file.
+fn iterations(path: &Path) -> usize {
+    Recording::open(path)
+        .and_then(|recording| recording.train_steps())
+        .map_or(0, |steps| steps.len())
+}
+
+#[test]
+fn a_killed_search_loses_nothing_that_was_recorded_and_can_be_recovered() {
+    let place = Place::new();
+    let mut child = long_search(&place);
+    let before = iterations(&place.path("long.mcap"));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let cut = place.recording("long.mcap");
+    assert!(cut.is_truncated());
+    let steps = cut.train_steps().unwrap();
+    assert!(steps.len() >= before, "{} after {before}", steps.len());
+    assert!(steps.iter().enumerate().all(|(k, step)| step.iteration == k as u64));
+    assert_eq!(cut.frame_count(Flow::Truth), 5);
+
+    let report = place.json("replay", &["--recover", "long.mcap", "--out", "whole.mcap", "--json"]);
+    assert_eq!(report["recording"], Value::from("whole.mcap"));
+    assert!(report["chunks_lost"].as_u64().unwrap() <= 1, "{report}");
+    let whole = place.recording("whole.mcap");
+    assert!(!whole.is_truncated());
+    assert_eq!(whole.train_steps().unwrap(), steps);
+    for k in 0..5 {
+        assert_eq!(whole.frame(Flow::Truth, k).unwrap(), cut.frame(Flow::Truth, k).unwrap());
+    }
+    let info = place.json("replay", &["--info", "--json", "whole.mcap"]);
+    assert_eq!(info["truncated"], Value::from(false));
+}

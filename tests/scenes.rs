@@ -1,0 +1,296 @@
+//! Scenes: every mistake is refused with place, expectation, finding and remedy; every scene survives
+//! being written out.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+
+mod common;
+
+use whirls::forcing::Power;
+use whirls::models::Parameter;
+use whirls::scene::{Forcing, KernelName, Optimiser, SHIPPED};
+use whirls::systems::verlet::Step;
+use whirls::{Error, Scene};
+
+const GOOD: &str = r#"
+name = "small"
+dimension = 3
+
+[fluid]
+particles_per_side = 8
+smoothing_length = 0.6
+c = 10.0
+alpha = 1.0
+beta = 2.0
+gamma = 7.0
+
+[forcing]
+kind = "deterministic"
+theta = 0.5
+
+[time]
+courant = 0.4
+
+[learn]
+parameters = ["c", "alpha"]
+frames = 10
+"#;
+
+/// The error that a scene is refused with, which must be one of bad input.
+fn refusal(text: &str, overrides: &[&str]) -> String {
+    let overrides: Vec<String> = overrides.iter().map(|&o| o.to_owned()).collect();
+    let error = Scene::parse(text, "small.toml", &overrides).unwrap_err();
+    assert!(matches!(error, Error::Input { .. }), "{error:?}");
+    assert_eq!(error.exit_code(), 2, "{error}");
+    error.to_string()
+}
+
+#[track_caller]
+fn assert_says(message: &str, parts: &[&str]) {
+    for part in parts.iter().chain(&["small.toml", "expected", "found"]) {
+        assert!(message.contains(part), "no `{part}` in: {message}");
+    }
+}
+
+fn open(name: &str, overrides: &[&str]) -> whirls::Result<Scene> {
+    Scene::open(name, &overrides.iter().map(|&o| o.to_owned()).collect::<Vec<_>>())
+}
+
+#[test]
+fn a_good_scene_is_accepted() {
+    let scene = Scene::parse(GOOD, "small.toml", &[]).unwrap();
+    assert_eq!((scene.particles(), scene.time.step), (512, Step::KickDriftKick));
+    assert_eq!(scene.fluid.kernel, KernelName::CubicSpline);
+    assert!((scene.fluid.box_length - std::f64::consts::TAU).abs() < f64::EPSILON);
+    assert!((scene.dt() - 0.4 * 0.6 / 10.0).abs() < 1e-17);
+    assert!((scene.mass() * 512.0 - scene.fluid.box_length.powi(3)).abs() < 1e-12);
+}
+
+#[test]
+fn a_misspelt_key_is_refused_with_its_line_and_the_keys_there_are() {
+    let text = GOOD.replace("smoothing_length = 0.6", "smoothing = 0.6");
+    let message = refusal(&text, &[]);
+    assert_says(&message, &["line 7", "`smoothing = 0.6`", "smoothing_length"]);
+    let message = refusal(&GOOD.replace("frames = 10", "frames = 10\nepochs = 3"), &[]);
+    assert_says(&message, &["line 23", "epochs", "iterations"]);
+}
+
+#[test]
+fn a_wrong_type_is_refused_with_its_line() {
+    let message = refusal(&GOOD.replace("c = 10.0", "c = \"fast\""), &[]);
+    assert_says(&message, &["line 8", "c = \"fast\"", "string"]);
+    let message = refusal(&GOOD.replace("particles_per_side = 8", "particles_per_side = 8.5"), &[]);
+    assert_says(&message, &["line 6", "8.5"]);
+}
+
+#[test]
+fn a_missing_key_is_named() {
+    let message = refusal(&GOOD.replace("gamma = 7.0\n", ""), &[]);
+    assert_says(&message, &["gamma"]);
+    assert_says(&refusal(&GOOD.replace("name = \"small\"\n", ""), &[]), &["name"]);
+}
+
+#[test]
+fn text_that_is_no_toml_is_refused_with_its_line() {
+    assert_says(&refusal(&GOOD.replace("c = 10.0", "c = = 10"), &[]), &["line 8"]);
+    assert_says(&refusal(&format!("{GOOD}\n[fluid]\n"), &[]), &["fluid"]);
+}
+
+#[test]
+fn names_that_are_not_in_a_list_are_refused_with_the_list() {
+    let kernel = "beta = 2.0\nkernel = \"wendland\"";
+    let message = refusal(&GOOD.replace("beta = 2.0", kernel), &[]);
+    assert_says(&message, &["line 11", "wendland", "cubic-spline", "wendland-c2", "wendland-c4"]);
+    let message = refusal(&GOOD.replace("courant = 0.4", "step = \"leapfrog\""), &[]);
+    assert_says(&message, &["leapfrog", "kick-drift-kick", "paper", "one-force", "two-force"]);
+    let message = refusal(&GOOD.replace("\"deterministic\"", "\"random\""), &[]);
+    assert_says(&message, &["random", "deterministic", "stochastic"]);
+    let message = refusal(&GOOD.replace("\"alpha\"]", "\"alfa\"]"), &[]);
+    assert_says(&message, &["alfa", "alpha", "beta", "gamma", "theta"]);
+}
+
+#[test]
+fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
+    let cases: &[(&str, &[&str])] = &[
+        ("dimension=4", &["dimension", "2 or 3", "found 4"]),
+        ("dimension=1", &["dimension", "2 or 3", "found 1"]),
+        (
+            "fluid.particles_per_side=0",
+            &["fluid.particles_per_side", "at least one", "0 particles"],
+        ),
+        ("fluid.particles_per_side=500", &["fluid.particles_per_side", "at most", "500"]),
+        ("fluid.smoothing_length=-0.1", &["fluid.smoothing_length", "positive", "-0.1"]),
+        ("fluid.smoothing_length=nan", &["fluid.smoothing_length", "positive", "NaN"]),
+        ("fluid.smoothing_length=1.6", &["fluid.smoothing_length", "half the box", "2h = 3.2"]),
+        ("fluid.box_length=0.0", &["fluid.box_length", "positive"]),
+        ("fluid.box_length=inf", &["fluid.box_length", "positive", "inf"]),
+        ("fluid.c=0.0", &["fluid.c", "positive"]),
+        ("fluid.alpha=-1.0", &["fluid.alpha", "zero or more", "-1"]),
+        ("fluid.beta=nan", &["fluid.beta", "zero or more", "NaN"]),
+        ("fluid.gamma=0.0", &["fluid.gamma", "positive"]),
+        ("time.courant=0.0", &["time.courant", "positive"]),
+        ("time.dt=-1.0", &["time.dt", "positive", "-1"]),
+        ("time.skin=-0.1", &["time.skin", "zero or more", "-0.1"]),
+        ("initial.jitter=-0.1", &["initial.jitter", "zero or more", "-0.1"]),
+        ("initial.velocity=inf", &["initial.velocity", "zero or more", "inf"]),
+        ("limits.courant=0.0", &["limits.courant", "positive"]),
+        ("limits.energy=-1.0", &["limits.energy", "positive"]),
+        ("forcing.theta=nan", &["forcing.theta", "a number", "NaN"]),
+        ("learn.frames=0", &["learn.frames", "at least one"]),
+        ("learn.mesh=0", &["learn.mesh", "at least one node"]),
+        ("learn.target=-1.0", &["learn.target", "zero or more", "-1"]),
+        (
+            "learn.parameters=[]",
+            &["learn.parameters", "at least one of c, alpha, beta, gamma, theta"],
+        ),
+        ("learn.parameters=['c','alpha','c']", &["learn.parameters", "each once"]),
+        ("learn.windows=[3,3]", &["learn.windows", "growing", "[3, 3]"]),
+        ("learn.windows=[5,2]", &["learn.windows", "growing", "[5, 2]"]),
+        ("learn.windows=[0,2]", &["learn.windows", "[0, 2]"]),
+        ("learn.windows=[3,11]", &["learn.windows", "learn.frames", "[3, 11]"]),
+        ("learn.guess.beta=1.0", &["learn.guess", "learned parameters only", "beta"]),
+        ("learn.loss.field=-1.0", &["learn.loss", "zero or more", "-1"]),
+        ("learn.loss={trajectory=0.0,field=0.0}", &["learn.loss", "one of them positive"]),
+        ("learn.optimiser={kind='adam',rate=0.0}", &["learn.optimiser", "positive rate"]),
+    ];
+    for (assignment, parts) in cases {
+        let message = refusal(GOOD, &[assignment]);
+        assert_says(&message, parts);
+        assert!(message.contains("--set"), "{message}");
+    }
+}
+
+#[test]
+fn theta_is_learned_only_where_it_acts() {
+    let theta = "learn.parameters=['c','theta']";
+    assert!(Scene::parse(GOOD, "small.toml", &[theta.to_owned()]).is_ok());
+    for forcing in ["forcing={kind='none'}", "forcing={kind='stochastic',interval=0.1}"] {
+        let message = refusal(GOOD, &[theta, forcing]);
+        assert_says(&message, &["learn.parameters", "theta", "deterministic"]);
+    }
+}
+
+#[test]
+fn a_stochastic_forcing_needs_an_interval() {
+    assert_says(&refusal(GOOD, &["forcing={kind='stochastic'}"]), &["interval"]);
+    let zero = "forcing={kind='stochastic',interval=0.0}";
+    assert_says(&refusal(GOOD, &[zero]), &["forcing.interval", "positive"]);
+}
+
+#[test]
+fn an_override_without_a_key_or_a_value_is_refused() {
+    let error = Scene::parse(GOOD, "small.toml", &["fluid.alpha".to_owned()]).unwrap_err();
+    let message = error.to_string();
+    assert_eq!(error.exit_code(), 2);
+    for part in ["--set fluid.alpha", "key=value", "no '='"] {
+        assert!(message.contains(part), "{message}");
+    }
+    let error = Scene::parse(GOOD, "small.toml", &["fluid.c.x=1".to_owned()]).unwrap_err();
+    assert!(error.to_string().contains("`c` to be a table"), "{error}");
+    let error = Scene::parse(GOOD, "small.toml", &["fluid.sigma=1".to_owned()]).unwrap_err();
+    assert!(error.to_string().contains("sigma"), "{error}");
+    let error = Scene::parse(GOOD, "small.toml", &["=1".to_owned()]).unwrap_err();
+    assert_eq!(error.exit_code(), 2, "{error}");
+}
+
+#[test]
+fn a_scene_that_is_not_there_is_refused_with_those_that_are() {
+    let error = open("inverse-4d", &[]).unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    for (name, _) in SHIPPED {
+        assert!(error.to_string().contains(name), "{error}");
+    }
+    assert!(error.to_string().contains("inverse-4d"), "{error}");
+    let error = open("no/such/scene.toml", &[]).unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    assert!(error.to_string().contains("cannot read no/such/scene.toml"), "{error}");
+}
+
+#[test]
+fn every_shipped_scene_is_good_and_survives_being_written_out() {
+    assert!(SHIPPED.len() >= 3);
+    for (name, text) in SHIPPED {
+        let scene = Scene::shipped(name).unwrap();
+        assert_eq!(&scene.name, name);
+        assert!(!scene.about.is_empty() && scene.learn.is_some(), "{name}");
+        let again = Scene::parse(&scene.to_toml(), "written out", &[]).unwrap();
+        assert_eq!(again, scene);
+        assert_eq!(again.to_toml(), scene.to_toml());
+        assert_eq!(Scene::parse(text, name, &[]).unwrap(), scene);
+    }
+}
+
+#[test]
+fn overrides_reach_every_level_and_make_tables_that_are_missing() {
+    let scene = open(
+        "inverse-3d",
+        &[
+            "name=other",
+            "seed=7",
+            "fluid.alpha=2",
+            "fluid.kernel=wendland-c4",
+            "time.step=two-force",
+            "time.dt=0.001",
+            "limits.courant=0.7",
+            "record.every=5",
+            "forcing.power=exact",
+            "learn.guess.c=9.5",
+            "learn.loss.trajectory=0.25",
+            "learn.windows=[2, 4]",
+            "learn.parameters=[\"gamma\", \"c\"]",
+            "learn.optimiser={kind='adam', rate=0.05, decay=0.1}",
+        ],
+    )
+    .unwrap();
+    let learn = scene.learn.clone().unwrap();
+    assert_eq!((scene.name.as_str(), scene.seed, scene.record.every), ("other", 7, 5));
+    assert_eq!((scene.fluid.kernel, scene.time.step), (KernelName::WendlandC4, Step::TwoForce));
+    let numbers = [scene.fluid.alpha, scene.dt(), scene.limits.courant, learn.guess["c"]];
+    assert_eq!(numbers.map(f64::to_bits), [2.0, 0.001, 0.7, 9.5_f64].map(f64::to_bits));
+    assert_eq!(scene.forcing, Forcing::Deterministic { theta: 0.5, power: Power::Exact });
+    assert_eq!(learn.parameters, [Parameter::Gamma, Parameter::C]);
+    assert_eq!((learn.windows, learn.loss.trajectory.to_bits()), (vec![2, 4], 0.25_f64.to_bits()));
+    assert_eq!(learn.optimiser, Optimiser::Adam { rate: 0.05, decay: 0.1 });
+    assert_eq!(
+        Scene::parse(&scene_text(&open("inverse-3d", &["seed=7"]).unwrap()), "x", &[])
+            .unwrap()
+            .seed,
+        7
+    );
+    // The last of two overrides of one key holds.
+    assert_eq!(open("inverse-3d", &["seed=1", "seed=2"]).unwrap().seed, 2);
+}
+
+fn scene_text(scene: &Scene) -> String {
+    scene.to_toml()
+}
+
+#[test]
+fn a_scene_in_a_file_is_the_scene_in_the_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("small.toml");
+    std::fs::write(&path, GOOD).unwrap();
+    let scene = open(&path.display().to_string(), &[]).unwrap();
+    assert_eq!(scene, Scene::parse(GOOD, "small.toml", &[]).unwrap());
+    std::fs::write(&path, GOOD.replace("alpha = 1.0", "alpha = \"one\"")).unwrap();
+    let error = open(&path.display().to_string(), &[]).unwrap_err();
+    assert!(error.to_string().contains("small.toml, line 9"), "{error}");
+}
+
+#[test]
+fn every_optional_table_survives_being_written_out() {
+    for forcing in common::FORCINGS.map(|(_, forcing)| forcing) {
+        for kernel in common::KERNELS {
+            for step in Step::ALL {
+                let mut scene = Scene::parse(GOOD, "small.toml", &[]).unwrap();
+                (scene.fluid.kernel, scene.time.step) = (kernel, step);
+                scene.forcing = forcing.clone();
+                scene.time.dt = Some(0.1 + 0.2);
+                scene.learn.as_mut().unwrap().mesh = Some(12);
+                scene.learn.as_mut().unwrap().guess.insert("c".to_owned(), 1.0 / 3.0);
+                assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+                scene.learn = None;
+                assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+            }
+        }
+    }
+}
