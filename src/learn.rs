@@ -1,6 +1,6 @@
 //! Algorithm 1: predict, differentiate, compare, update.
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::models::{Parameter, Parameters};
 use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
@@ -65,14 +65,7 @@ pub struct Learner<const D: usize> {
 impl<const D: usize> Learner<D> {
     /// A learner for a scene, from the first true state and the observations behind it.
     pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
-        let learn = scene.learn.clone().ok_or_else(|| {
-            Error::input(
-                format!("scene {}", scene.name),
-                "a [learn] table",
-                "none",
-                "say what is to be learned, or run `simulate`",
-            )
-        })?;
+        let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
         let gradient = learn.gradient.choose(learn.parameters.len(), residuals);
         let frames = observations.frames.len();
@@ -119,7 +112,7 @@ impl<const D: usize> Learner<D> {
     /// Runs the prediction over the first `window` frames and compares it with the truth.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted.
+    /// [`crate::Error::Diverged`] where these parameters make a flow that cannot be trusted.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.flow.set_parameters(self.parameters(learned));
         self.flow.set_window(window);

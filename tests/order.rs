@@ -93,6 +93,8 @@ fn a_system_without_an_order_is_refused() {
     let mut without = new();
     without.schedule_mut().add_systems(drag);
     assert!(without.check_order().is_err());
+    let error = without.step().unwrap_err();
+    assert!(error.exit_code() == 2 && error.to_string().contains("an order between"), "{error}");
 
     let mut counting = new();
     counting.schedule_mut().add_systems(count.in_set(Phase::Drift));

@@ -147,14 +147,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
 }
 
 fn lesson<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<Lesson<D>> {
-    let learn = scene.learn.clone().ok_or_else(|| {
-        Error::input(
-            format!("scene {}", scene.name),
-            "a [learn] table",
-            "none",
-            "say what is to be learned, or run `simulate`",
-        )
-    })?;
+    let learn = scene.learning()?.clone();
     let clock = Instant::now();
     let (truth, known) = match &arguments.truth {
         Some(path) => {

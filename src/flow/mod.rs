@@ -2,6 +2,7 @@
 
 mod adjoint;
 mod build;
+mod measure;
 mod state;
 
 pub use adjoint::Snapshot;
@@ -18,10 +19,10 @@ use crate::systems::acceleration::Law;
 use crate::systems::loss::{LossSum, Observations};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationSensitivity, Cloud, Density, Identity, Position, PositionSensitivity,
-    SensitivityCloud, Velocity, VelocitySensitivity,
+    Acceleration, AccelerationSensitivity, Identity, Position, PositionSensitivity, Velocity,
+    VelocitySensitivity,
 };
-use crate::systems::verlet::{Clock, Integrator};
+use crate::systems::verlet::Clock;
 use crate::systems::watch::Failure;
 use crate::systems::{self, Needs};
 use crate::vector::Vector;
@@ -229,8 +230,17 @@ impl<const D: usize> Flow<D> {
     }
 
     /// Finds density and force of the initial state, if that has not been done yet.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a system was added that could run before or after another one, and
+    /// [`Error::Diverged`] where the initial state cannot be trusted.
     pub fn start(&mut self) -> Result<()> {
         if !self.started {
+            self.check_order().map_err(|found| {
+                let expected = "an order between any two systems that touch the same data";
+                let remedy = "add it in a Phase of its own, or with .after() and .before()";
+                Error::input("the systems of this flow", expected, found, remedy)
+            })?;
             self.started = true;
             self.start.run(&mut self.world);
         }
@@ -294,49 +304,6 @@ impl<const D: usize> Flow<D> {
         (self.law.get)(&self.world)
     }
 
-    /// Mass of each particle.
-    pub fn mass(&self) -> f64 {
-        (self.law.mass)(&self.world)
-    }
-
-    /// Smoothing length `h`.
-    pub fn smoothing_length(&self) -> f64 {
-        (self.law.smoothing_length)(&self.world)
-    }
-
-    /// `Σ m a` per system at the last force evaluation.
-    pub fn momentum_rates(&self) -> MomentumRates<D> {
-        (self.law.rates)(&self.world)
-    }
-
-    /// Bytes per particle of everything the World holds for it, by part.
-    pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
-        let count = self.world.resource::<Cloud<D>>().len().max(1) as f64;
-        let vector = 8 * D;
-        let lines = self.world.resource::<Cloud<D>>();
-        let cloud = 64 * lines.packed.capacity()
-            + vector * lines.acceleration.capacity()
-            + 8 * lines.density.capacity()
-            + 4 * lines.slot_of_row.capacity();
-        let mut parts = vec![
-            ("components", (4 + 3 * vector + 8) as f64),
-            ("cloud", cloud as f64 / count),
-            ("neighbour lists", self.world.resource::<Neighbours<D>>().bytes() as f64 / count),
-        ];
-        if let Some(sensitivities) = self.world.get_resource::<SensitivityCloud<D>>() {
-            let block = 3 * D * 64 + 8 + (2 * D + 2) * 64 + 64 + D * 64;
-            parts.push(("sensitivities", (block * sensitivities.blocks.len()) as f64));
-        }
-        parts
-    }
-
-    /// Mean number of neighbours within the support.
-    pub fn neighbours_per_particle(&self) -> f64 {
-        let cloud = self.world.resource::<Cloud<D>>();
-        let pairs = self.world.resource::<Neighbours<D>>().pairs(cloud);
-        pairs as f64 / cloud.len().max(1) as f64
-    }
-
     /// Puts other physical parameters in force, from the next force evaluation on.
     pub fn set_parameters(&mut self, parameters: Parameters<f64>) {
         (self.law.set)(&mut self.world, parameters);
@@ -362,7 +329,7 @@ impl<const D: usize> Flow<D> {
         &mut self.advance
     }
 
-    /// Builds both schedules without running them: an error if two systems could run in either order.
+    /// Builds every schedule without running them: an error if two systems could run in either order.
     pub fn check_order(&mut self) -> std::result::Result<(), String> {
         let backward = self.backward.iter_mut().flat_map(|backward| {
             [&mut backward.prepare, &mut backward.retreat, &mut backward.back_to_start]
@@ -392,52 +359,6 @@ impl<const D: usize> Flow<D> {
         systems
             .map(|all| all.map(|(_, s)| short(s.name().to_string())).collect())
             .unwrap_or_default()
-    }
-
-    /// Steps completed.
-    pub fn steps(&self) -> u64 {
-        self.world.resource::<Clock>().step
-    }
-
-    /// Simulation time.
-    pub fn time(&self) -> f64 {
-        let clock = self.world.resource::<Clock>();
-        clock.time_at(clock.step, self.dt())
-    }
-
-    /// The time step.
-    pub fn dt(&self) -> f64 {
-        self.world.resource::<Integrator>().dt
-    }
-
-    /// Positions and velocities, particle `k` in row `k`.
-    pub fn state(&mut self) -> State<D> {
-        let mut state = State { time: self.time(), ..State::default() };
-        let mut rows = self.world.query::<(&Identity, &Position<D>, &Velocity<D>)>();
-        let count = rows.iter(&self.world).count();
-        state.positions.resize(count, Vector::zero());
-        state.velocities.resize(count, Vector::zero());
-        for (id, r, v) in rows.iter(&self.world) {
-            state.positions[id.0 as usize] = r.0;
-            state.velocities[id.0 as usize] = v.0;
-        }
-        state
-    }
-
-    /// Densities, particle `k` in row `k`.
-    pub fn densities(&mut self) -> Vec<f64> {
-        let mut rows = self.world.query::<(&Identity, &Density)>();
-        let mut densities = vec![0.0; rows.iter(&self.world).count()];
-        rows.iter(&self.world).for_each(|(id, rho)| densities[id.0 as usize] = rho.0);
-        densities
-    }
-
-    /// Accelerations of the last force evaluation, particle `k` in row `k`.
-    pub fn accelerations(&mut self) -> Vec<Vector<f64, D>> {
-        let mut rows = self.world.query::<(&Identity, &Acceleration<D>)>();
-        let mut all = vec![Vector::zero(); rows.iter(&self.world).count()];
-        rows.iter(&self.world).for_each(|(id, a)| all[id.0 as usize] = a.0);
-        all
     }
 
     /// The loss accumulated so far, zero where nothing is observed.

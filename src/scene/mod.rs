@@ -8,6 +8,7 @@ mod read;
 
 pub use read::SHIPPED;
 
+use crate::error::{Error, Result};
 use crate::forcing::Power;
 use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::systems::verlet::Step;
@@ -288,6 +289,21 @@ mod defaults {
 }
 
 impl Scene {
+    /// What the scene learns.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it learns nothing.
+    pub fn learning(&self) -> Result<&Learn> {
+        self.learn.as_ref().ok_or_else(|| {
+            Error::input(
+                format!("scene {}", self.name),
+                "a [learn] table",
+                "none",
+                "say what is to be learned, or run `simulate`",
+            )
+        })
+    }
+
     /// Number of particles `N`.
     pub fn particles(&self) -> usize {
         self.fluid.particles_per_side.pow(self.dimension as u32)

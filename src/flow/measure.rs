@@ -1,0 +1,101 @@
+//! What a flow can be asked: where it stands, what its particles do, what it holds.
+
+use super::{Flow, State};
+use crate::statistics::MomentumRates;
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::{
+    Acceleration, Cloud, Density, Identity, Position, SensitivityCloud, Velocity,
+};
+use crate::systems::verlet::{Clock, Integrator};
+use crate::vector::Vector;
+
+impl<const D: usize> Flow<D> {
+    /// Steps completed.
+    pub fn steps(&self) -> u64 {
+        self.world.resource::<Clock>().step
+    }
+
+    /// Simulation time.
+    pub fn time(&self) -> f64 {
+        let clock = self.world.resource::<Clock>();
+        clock.time_at(clock.step, self.dt())
+    }
+
+    /// The time step.
+    pub fn dt(&self) -> f64 {
+        self.world.resource::<Integrator>().dt
+    }
+
+    /// Positions and velocities, particle `k` in row `k`.
+    pub fn state(&mut self) -> State<D> {
+        let mut state = State { time: self.time(), ..State::default() };
+        let mut rows = self.world.query::<(&Identity, &Position<D>, &Velocity<D>)>();
+        let count = rows.iter(&self.world).count();
+        state.positions.resize(count, Vector::zero());
+        state.velocities.resize(count, Vector::zero());
+        for (id, r, v) in rows.iter(&self.world) {
+            state.positions[id.0 as usize] = r.0;
+            state.velocities[id.0 as usize] = v.0;
+        }
+        state
+    }
+
+    /// Densities, particle `k` in row `k`.
+    pub fn densities(&mut self) -> Vec<f64> {
+        let mut rows = self.world.query::<(&Identity, &Density)>();
+        let mut densities = vec![0.0; rows.iter(&self.world).count()];
+        rows.iter(&self.world).for_each(|(id, rho)| densities[id.0 as usize] = rho.0);
+        densities
+    }
+
+    /// Accelerations of the last force evaluation, particle `k` in row `k`.
+    pub fn accelerations(&mut self) -> Vec<Vector<f64, D>> {
+        let mut rows = self.world.query::<(&Identity, &Acceleration<D>)>();
+        let mut all = vec![Vector::zero(); rows.iter(&self.world).count()];
+        rows.iter(&self.world).for_each(|(id, a)| all[id.0 as usize] = a.0);
+        all
+    }
+
+    /// Mass of each particle.
+    pub fn mass(&self) -> f64 {
+        (self.law.mass)(&self.world)
+    }
+
+    /// Smoothing length `h`.
+    pub fn smoothing_length(&self) -> f64 {
+        (self.law.smoothing_length)(&self.world)
+    }
+
+    /// `Σ m a` per system at the last force evaluation.
+    pub fn momentum_rates(&self) -> MomentumRates<D> {
+        (self.law.rates)(&self.world)
+    }
+
+    /// Bytes per particle of everything the World holds for it, by part.
+    pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
+        let count = self.world.resource::<Cloud<D>>().len().max(1) as f64;
+        let vector = 8 * D;
+        let lines = self.world.resource::<Cloud<D>>();
+        let cloud = 64 * lines.packed.capacity()
+            + vector * lines.acceleration.capacity()
+            + 8 * lines.density.capacity()
+            + 4 * lines.slot_of_row.capacity();
+        let mut parts = vec![
+            ("components", (4 + 3 * vector + 8) as f64),
+            ("cloud", cloud as f64 / count),
+            ("neighbour lists", self.world.resource::<Neighbours<D>>().bytes() as f64 / count),
+        ];
+        if let Some(sensitivities) = self.world.get_resource::<SensitivityCloud<D>>() {
+            let block = 3 * D * 64 + 8 + (2 * D + 2) * 64 + 64 + D * 64;
+            parts.push(("sensitivities", (block * sensitivities.blocks.len()) as f64));
+        }
+        parts
+    }
+
+    /// Mean number of neighbours within the support.
+    pub fn neighbours_per_particle(&self) -> f64 {
+        let cloud = self.world.resource::<Cloud<D>>();
+        let pairs = self.world.resource::<Neighbours<D>>().pairs(cloud);
+        pairs as f64 / cloud.len().max(1) as f64
+    }
+}
