@@ -13,21 +13,19 @@
 //! Normalisation, moments and derivatives: `tests/kernels.rs`.
 
 use crate::scalar::Scalar;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
-use std::marker::PhantomData;
 
 /// Shape of a kernel, a function of `q = r/h` alone; zero for `q ≥ 2`.
 pub trait Kernel: Copy + Default + Send + Sync + 'static {
-    /// Its name in a scene file.
-    const NAME: &'static str;
     /// `σ`, such that `W` integrates to one in `dimension` 2 or 3.
-    fn normalisation(dimension: usize) -> f64;
+    fn normalisation(&self, dimension: usize) -> f64;
     /// `w(q)`.
-    fn value<T: Scalar>(q: T) -> T;
+    fn value<T: Scalar>(&self, q: T) -> T;
     /// `g(q) = w'(q)/q`.
-    fn gradient<T: Scalar>(q: T) -> T;
+    fn gradient<T: Scalar>(&self, q: T) -> T;
     /// `k(q) = g'(q)/q`, with `q` kept away from zero where that is singular.
-    fn curvature<T: Scalar>(q: T) -> T;
+    fn curvature<T: Scalar>(&self, q: T) -> T;
 }
 
 /// Below this `q` a singular curvature is held: its factors `r²` have long underflowed to nothing.
@@ -38,28 +36,26 @@ const SMALLEST_Q: f64 = 1e-100;
 pub struct CubicSpline;
 
 impl Kernel for CubicSpline {
-    const NAME: &'static str = "cubic-spline";
-
-    fn normalisation(dimension: usize) -> f64 {
+    fn normalisation(&self, dimension: usize) -> f64 {
         if dimension == 2 { 10.0 / (7.0 * PI) } else { 1.0 / PI }
     }
 
     #[inline(always)]
-    fn value<T: Scalar>(q: T) -> T {
+    fn value<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let inner = q * q * (q * 0.75 - 1.5) + 1.0;
         T::select_less(q, T::of(1.0), inner, outer * outer * outer * 0.25)
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(q: T) -> T {
+    fn gradient<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let beyond = outer * outer * -0.75 / q.max(T::of(1.0));
         T::select_less(q, T::of(1.0), q * 2.25 - 3.0, beyond)
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(q: T) -> T {
+    fn curvature<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let q1 = q.max(T::of(1.0));
         let beyond = outer * (q1 + 2.0) * 0.75 / (q1 * q1 * q1);
@@ -72,27 +68,25 @@ impl Kernel for CubicSpline {
 pub struct WendlandC2;
 
 impl Kernel for WendlandC2 {
-    const NAME: &'static str = "wendland-c2";
-
-    fn normalisation(dimension: usize) -> f64 {
+    fn normalisation(&self, dimension: usize) -> f64 {
         if dimension == 2 { 7.0 / (4.0 * PI) } else { 21.0 / (16.0 * PI) }
     }
 
     #[inline(always)]
-    fn value<T: Scalar>(q: T) -> T {
+    fn value<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * (q * 2.0 + 1.0)
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(q: T) -> T {
+    fn gradient<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         u * u * u * -5.0
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(q: T) -> T {
+    fn curvature<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         u * u * 7.5 / q.max(T::of(SMALLEST_Q))
     }
@@ -103,31 +97,75 @@ impl Kernel for WendlandC2 {
 pub struct WendlandC4;
 
 impl Kernel for WendlandC4 {
-    const NAME: &'static str = "wendland-c4";
-
-    fn normalisation(dimension: usize) -> f64 {
+    fn normalisation(&self, dimension: usize) -> f64 {
         if dimension == 2 { 9.0 / (4.0 * PI) } else { 495.0 / (256.0 * PI) }
     }
 
     #[inline(always)]
-    fn value<T: Scalar>(q: T) -> T {
+    fn value<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u3 = u * u * u;
         u3 * u3 * (q * (q * (35.0 / 12.0) + 3.0) + 1.0)
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(q: T) -> T {
+    fn gradient<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * u * (q * 2.5 + 1.0) * (-14.0 / 3.0)
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(q: T) -> T {
+    fn curvature<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * 35.0
+    }
+}
+
+/// A kernel by name: the one of a scene, known at run time. As a [`Kernel`] it chooses anew for every
+/// eight pairs, which nobody notices beside a network; the physical model is compiled for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KernelName {
+    /// [`CubicSpline`].
+    #[default]
+    CubicSpline,
+    /// [`WendlandC2`].
+    WendlandC2,
+    /// [`WendlandC4`].
+    WendlandC4,
+}
+
+/// The same call on whichever kernel it is.
+macro_rules! whichever {
+    ($name:expr, $method:ident($q:expr)) => {
+        match $name {
+            KernelName::CubicSpline => CubicSpline.$method($q),
+            KernelName::WendlandC2 => WendlandC2.$method($q),
+            KernelName::WendlandC4 => WendlandC4.$method($q),
+        }
+    };
+}
+
+impl Kernel for KernelName {
+    fn normalisation(&self, dimension: usize) -> f64 {
+        whichever!(self, normalisation(dimension))
+    }
+
+    #[inline(always)]
+    fn value<T: Scalar>(&self, q: T) -> T {
+        whichever!(self, value(q))
+    }
+
+    #[inline(always)]
+    fn gradient<T: Scalar>(&self, q: T) -> T {
+        whichever!(self, gradient(q))
+    }
+
+    #[inline(always)]
+    fn curvature<T: Scalar>(&self, q: T) -> T {
+        whichever!(self, curvature(q))
     }
 }
 
@@ -138,14 +176,24 @@ pub struct Smoothing<K, const D: usize> {
     pub h: f64,
     inverse_h: f64,
     scale: f64,
-    shape: PhantomData<K>,
+    shape: K,
 }
 
 impl<K: Kernel, const D: usize> Smoothing<K, D> {
     /// The kernel at smoothing length `h`.
     pub fn new(h: f64) -> Self {
-        let scale = K::normalisation(D) / h.powi(D as i32);
-        Self { h, inverse_h: 1.0 / h, scale, shape: PhantomData }
+        Self::of(K::default(), h)
+    }
+
+    /// A given kernel at smoothing length `h`.
+    pub fn of(shape: K, h: f64) -> Self {
+        let scale = shape.normalisation(D) / h.powi(D as i32);
+        Self { h, inverse_h: 1.0 / h, scale, shape }
+    }
+
+    /// The kernel.
+    pub fn kernel(&self) -> K {
+        self.shape
     }
 
     /// Radius beyond which the kernel vanishes, `2h`.
@@ -156,19 +204,19 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
     /// `W(r)`, of dimension `1/length^D`.
     #[inline(always)]
     pub fn value<T: Scalar>(&self, r: T) -> T {
-        K::value(r * self.inverse_h) * self.scale
+        self.shape.value(r * self.inverse_h) * self.scale
     }
 
     /// `G(r) = W'(r)/r`.
     #[inline(always)]
     pub fn gradient<T: Scalar>(&self, r: T) -> T {
-        K::gradient(r * self.inverse_h) * (self.scale * self.inverse_h * self.inverse_h)
+        self.shape.gradient(r * self.inverse_h) * (self.scale * self.inverse_h * self.inverse_h)
     }
 
     /// `H(r) = G'(r)/r`.
     #[inline(always)]
     pub fn curvature<T: Scalar>(&self, r: T) -> T {
         let inverse_h2 = self.inverse_h * self.inverse_h;
-        K::curvature(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
+        self.shape.curvature(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
     }
 }

@@ -2,7 +2,8 @@
 
 use crate::error::Result;
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
-use crate::models::{Parameter, Parameters};
+use crate::kernel::Smoothing;
+use crate::models::{Medium, Parameter};
 use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Gradient, adjoint_gradient};
@@ -52,12 +53,25 @@ pub struct Outcome {
     pub iterations: usize,
 }
 
+/// What a scene learns: its physical parameters, then all weights of its model's network.
+fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
+    let medium = Medium {
+        mass: scene.mass(),
+        smoothing: Smoothing::of(scene.fluid.kernel, scene.fluid.smoothing_length),
+        parameters: scene.parameters(),
+    };
+    let model = learn.model.build::<D>(medium)?;
+    let weights = model.network().map_or(0, |network| network.weights.len() as u32);
+    let weights = (0..weights).map(Parameter::Weight);
+    Ok(learn.parameters.iter().copied().chain(weights).collect())
+}
+
 /// A prediction that learns: a flow with sensitivities, started again and again from the same state.
 pub struct Learner<const D: usize> {
     flow: Flow<D>,
     from: State<D>,
     learn: Learn,
-    fixed: Parameters<f64>,
+    columns: Vec<Parameter>,
     frames: usize,
     gradient: Gradient,
 }
@@ -67,17 +81,18 @@ impl<const D: usize> Learner<D> {
     pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
         let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
-        let gradient = learn.gradient.choose(learn.parameters.len(), residuals);
+        let columns = columns::<D>(scene, &learn)?;
+        let gradient = learn.gradient.choose(columns.len(), residuals);
         let frames = observations.frames.len();
         let flow = match gradient {
             Gradient::Adjoint => Flow::with_adjoint(scene, &from, observations)?,
             Gradient::Auto | Gradient::Forward => {
-                let (parameters, coupling) = (learn.parameters.clone(), learn.coupling);
+                let (parameters, coupling) = (columns.clone(), learn.coupling);
                 let by = Differentiation { parameters, coupling };
                 Flow::build(scene, &from, Some(&by), Some(observations))?
             }
         };
-        Ok(Self { flow, from, learn, fixed: scene.parameters(), frames, gradient })
+        Ok(Self { flow, from, learn, columns, frames, gradient })
     }
 
     /// The flow that predicts.
@@ -85,28 +100,22 @@ impl<const D: usize> Learner<D> {
         &mut self.flow
     }
 
-    /// The learned parameters, in the scene's order.
+    /// The learned parameters: the physical ones in the scene's order, then the network's weights.
     pub fn columns(&self) -> &[Parameter] {
-        &self.learn.parameters
+        &self.columns
     }
 
-    /// The first guess: the scene's, or drawn from uniform (0, 1) where it has none.
+    /// The first guess: the scene's, or drawn from uniform (0, 1) where it has none; weights as
+    /// [`crate::network::Network::initial`] draws them.
     pub fn guess(&self, seed: u64) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Guess);
         let draw = |p: &Parameter| {
             let drawn = generator.random::<f64>();
-            self.learn.guess.get(p.name()).copied().unwrap_or(drawn)
+            self.learn.guess.get(&*p.name()).copied().unwrap_or(drawn)
         };
-        self.learn.parameters.iter().map(draw).collect()
-    }
-
-    /// All physical parameters where the learned ones are `learned`.
-    pub fn parameters(&self, learned: &[f64]) -> Parameters<f64> {
-        let mut parameters = self.fixed;
-        for (&parameter, &value) in self.learn.parameters.iter().zip(learned) {
-            parameters.set(parameter, value);
-        }
-        parameters
+        let mut guess: Vec<f64> = self.learn.parameters.iter().map(draw).collect();
+        guess.extend(self.flow.draw_weights(seed));
+        guess
     }
 
     /// Runs the prediction over the first `window` frames and compares it with the truth.
@@ -114,7 +123,7 @@ impl<const D: usize> Learner<D> {
     /// # Errors
     /// [`crate::Error::Diverged`] where these parameters make a flow that cannot be trusted.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
-        self.flow.set_parameters(self.parameters(learned));
+        self.flow.set_learned(&self.columns, learned);
         self.flow.set_window(window);
         if self.gradient == Gradient::Adjoint {
             return self.evaluate_backwards(learned, window);
@@ -144,7 +153,7 @@ impl<const D: usize> Learner<D> {
             loss: found.loss.trajectory.value + found.loss.field.value,
             trajectory: found.loss.trajectory.value,
             field: found.loss.field.value,
-            gradient: self.learn.parameters.iter().map(|&p| found.gradient.get(p)).collect(),
+            gradient: self.columns.iter().map(|p| found.gradient[p.index()]).collect(),
             normal: Vec::new(),
         })
     }
@@ -231,7 +240,7 @@ impl<const D: usize> Learner<D> {
         best: &mut Evaluation,
         window: usize,
     ) -> Option<String> {
-        let products = Products::new(&self.learn.parameters);
+        let products = Products::new(&self.columns);
         let (gradient, normal) = products.pull_back(&best.parameters, &best.gradient, &best.normal);
         let Some((step, predicted)) = optimiser.propose(&gradient, &normal) else {
             optimiser.reject();

@@ -11,6 +11,7 @@ pub mod models;
 pub mod network;
 pub mod optimisers;
 pub mod packed;
+pub mod pairs;
 pub mod recording;
 pub mod run;
 pub mod scalar;

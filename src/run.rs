@@ -21,7 +21,7 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         ("command", command.to_owned()),
         ("version", env!("CARGO_PKG_VERSION").to_owned()),
         ("scene", scene.name.clone()),
-        ("model", "physics".to_owned()),
+        ("model", scene.model().kind().to_owned()),
         ("precision", "double".to_owned()),
         ("seed", scene.seed.to_string()),
         ("dt", format!("{:?}", scene.dt())),
@@ -31,7 +31,7 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         dimension: scene.dimension,
         box_length: scene.fluid.box_length,
         speed_scale,
-        parameters: learned.map(|p| p.name().to_owned()).collect(),
+        parameters: learned.map(|p| p.name().into_owned()).collect(),
         metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
     }
 }

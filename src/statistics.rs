@@ -1,22 +1,22 @@
 //! What is measured of a flow: what it keeps, and what each system gives away.
 
 use crate::flow::Flow;
-use crate::models::{Model, Parameter, Parameters};
+use crate::models::{Parameter, Parameters};
 use crate::recording::Conservation;
 use crate::state::internal_energy;
-use crate::systems::acceleration::{Law, pair_accelerations};
+use crate::systems::acceleration::{Law, model_accelerations};
 use crate::systems::forcing::external_forces;
 use crate::systems::neighbours::Neighbours;
-use crate::systems::particles::Cloud;
+use crate::systems::particles::{Cloud, Rooms};
 use crate::vector::Vector;
 use bevy_ecs::prelude::World;
 
 /// `Σ m a` over all particles, per system: zero to round-off where the system conserves momentum.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MomentumRates<const D: usize> {
-    /// Of the pressure.
+    /// Of the pressure, or of what a model has learned in its place.
     pub pressure: Vector<f64, D>,
-    /// Of the viscosity.
+    /// Of the viscosity; zero where a model has none.
     pub viscosity: Vector<f64, D>,
     /// Of the forcing.
     pub forcing: Vector<f64, D>,
@@ -24,29 +24,29 @@ pub struct MomentumRates<const D: usize> {
     pub scale: f64,
 }
 
-/// `Σ m a` of pressure, viscosity and forcing as the cloud stands, each by the very pair loop that
-/// moves the particles: viscosity with all stresses at zero, pressure with `α = β = 0`.
-pub(crate) fn momentum_rates<M: Model<D>, const D: usize>(world: &World) -> MomentumRates<D> {
-    let law = &world.resource::<Law<M>>().0;
+/// `Σ m a` of pressure, viscosity and forcing as the cloud stands, by the very loops that move the
+/// particles: pressure with `α = β = 0`, viscosity what is missing to the whole.
+pub(crate) fn momentum_rates<const D: usize>(world: &World) -> MomentumRates<D> {
+    let law = &*world.resource::<Law<D>>().0;
     let cloud = world.resource::<Cloud<D>>();
     let neighbours = world.resource::<Neighbours<D>>();
-    let mut inviscid = law.clone();
+    let rooms = world.resource::<Rooms>();
+    let mut inviscid = law.boxed();
     let mut parameters: Parameters<f64> = *law.parameters();
     parameters.set(Parameter::Alpha, 0.0);
     parameters.set(Parameter::Beta, 0.0);
     inviscid.set_parameters(parameters);
-    let mut stressless = cloud.packed.clone();
-    stressless.iter_mut().for_each(|p| p.stress = 0.0);
-    let mut accelerations = vec![Vector::zero(); cloud.len()];
     let mut rates = MomentumRates::default();
     let mut total = |accelerations: &[Vector<f64, D>]| {
         rates.scale += law.mass() * accelerations.iter().map(|a| a.norm()).sum::<f64>();
         momentum(law.mass(), accelerations)
     };
-    pair_accelerations(neighbours, &inviscid, &cloud.packed, &mut accelerations);
-    let pressure = total(&accelerations);
-    pair_accelerations(neighbours, law, &stressless, &mut accelerations);
-    let viscosity = total(&accelerations);
+    let mut pressed = vec![Vector::zero(); cloud.len()];
+    let mut viscous = pressed.clone();
+    model_accelerations(neighbours, (&*inviscid, rooms), &cloud.packed, &mut pressed);
+    model_accelerations(neighbours, (law, rooms), &cloud.packed, &mut viscous);
+    viscous.iter_mut().zip(&pressed).for_each(|(whole, pressed)| *whole -= *pressed);
+    let (pressure, viscosity) = (total(&pressed), total(&viscous));
     let forcing = total(&external_forces::<D>(world));
     MomentumRates { pressure, viscosity, forcing, ..rates }
 }

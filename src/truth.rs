@@ -3,10 +3,10 @@
 use crate::cells::Cells;
 use crate::error::Result;
 use crate::flow::{Flow, State};
-use crate::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
+use crate::kernel::Smoothing;
 use crate::losses::{Mesh, Points, field};
 use crate::packed::Packed;
-use crate::scene::{KernelName, Learn, Scene};
+use crate::scene::{Learn, Scene};
 use crate::space::PeriodicBox;
 use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
@@ -82,20 +82,7 @@ pub fn velocity_field<const D: usize>(
     state: &State<D>,
     densities: &[f64],
 ) -> Vec<Vector<f64, D>> {
-    match scene.fluid.kernel {
-        KernelName::CubicSpline => field_with::<CubicSpline, D>(scene, mesh, state, densities),
-        KernelName::WendlandC2 => field_with::<WendlandC2, D>(scene, mesh, state, densities),
-        KernelName::WendlandC4 => field_with::<WendlandC4, D>(scene, mesh, state, densities),
-    }
-}
-
-fn field_with<K: Kernel, const D: usize>(
-    scene: &Scene,
-    mesh: &Mesh<D>,
-    state: &State<D>,
-    densities: &[f64],
-) -> Vec<Vector<f64, D>> {
-    let smoothing = Smoothing::<K, D>::new(scene.fluid.smoothing_length);
+    let smoothing = Smoothing::<_, D>::of(scene.fluid.kernel, scene.fluid.smoothing_length);
     let space = PeriodicBox { length: scene.fluid.box_length };
     let mut cells = Cells::default();
     cells.sort(&state.positions, space, smoothing.support());

@@ -1,6 +1,6 @@
 //! Monaghan's artificial viscosity, Eq. (21).
 
-use crate::models::Pair;
+use crate::pairs::Pair;
 use crate::scalar::Scalar;
 
 /// `ε` of Eq. (21): `0.01 h²` keeps `μ` finite where two particles meet.

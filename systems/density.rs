@@ -1,12 +1,12 @@
 //! Density by summation, Eq. (17), with its tangent and its pullback.
 
 use super::acceleration::Law;
-use super::neighbours::{CHUNK, Chunk, Neighbours};
-use super::pairs::{gather, separation};
-use super::particles::{AdjointCloud, Cloud, Density, SensitivityCloud};
-use crate::models::{Model, Parameter};
+use super::neighbours::Neighbours;
+use super::particles::{AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud};
+use crate::models::{Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
-use crate::scalar::{Lanes, Scalar};
+use crate::pairs::{CHUNK, Chunk, gather, separation};
+use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -15,20 +15,20 @@ use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles.
-struct DensityPass<'a, M, const D: usize> {
+struct DensityPass<'a, const D: usize> {
     packed: &'a [Packed],
     chunk: &'a Chunk,
     space: PeriodicBox,
-    model: &'a M,
+    medium: &'a Medium<D>,
     density: &'a mut [f64],
 }
 
-impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityPass<'_, M, D> {
+impl<const D: usize> NullaryFnOnce for DensityPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let smoothing = self.model.smoothing();
+        let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
         for (k, density) in self.density.iter_mut().enumerate() {
             let here = &self.packed[self.chunk.first + k];
@@ -37,15 +37,15 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityPass<'_, M, D> {
                 let r = separation::<D>(self.packed, here, slots, self.space);
                 sum += smoothing.value(r.norm_squared().sqrt());
             }
-            *density = self.model.mass() * (own + sum.sum());
+            *density = self.medium.mass * (own + sum.sum());
         }
     }
 }
 
 /// System: sums the density at every particle, and what the model makes of it.
-pub fn sum_density<M: Model<D>, const D: usize>(
+pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    law: Res<Law<M>>,
+    (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let Cloud { packed, density, .. } = &mut *cloud;
@@ -54,15 +54,39 @@ pub fn sum_density<M: Model<D>, const D: usize>(
             packed: &*packed,
             chunk,
             space: neighbours.space,
-            model: &law.0,
+            medium: law.0.medium(),
             density,
         };
         Arch::new().dispatch(pass);
     });
-    packed.par_iter_mut().zip(&*density).with_min_len(CHUNK).for_each(|(line, &rho)| {
-        line.density = rho;
-        line.stress = law.0.stress(rho);
+    let count = density.len();
+    let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
+    lines.for_each(|(lines, density)| {
+        lines.iter_mut().zip(density).for_each(|(line, &rho)| line.density = rho);
+        if law.0.has_stress() {
+            rooms.enter(law.0.network(), |room| find_stress(&*law.0, lines, room));
+        }
     });
+}
+
+/// Densities of up to eight particles, one where there is none.
+#[inline(always)]
+fn densities(lines: &[Packed]) -> Lanes {
+    let mut rho = Lanes::of(1.0);
+    for (lane, line) in lines.iter().enumerate() {
+        rho.set_lane(lane, line.density);
+    }
+    rho
+}
+
+/// `A(ρ)` of some particles.
+fn find_stress<const D: usize>(model: &dyn Model<D>, lines: &mut [Packed], room: &mut Room) {
+    for lines in lines.chunks_mut(WIDTH) {
+        let stress = model.stress(densities(lines), room);
+        for (lane, line) in lines.iter_mut().enumerate() {
+            line.stress = stress.lane(lane);
+        }
+    }
 }
 
 /// System: writes the densities back to the particles.
@@ -76,22 +100,22 @@ pub fn write_density<const D: usize>(mut densities: Query<&mut Density>, cloud: 
 }
 
 /// `δρᵢ = Σⱼ m G rᵢⱼ·(δrᵢ − δrⱼ)` over one chunk of particles and one block of parameters.
-struct DensityTangent<'a, M, const D: usize> {
+struct DensityTangent<'a, const D: usize> {
     packed: &'a [Packed],
     chunk: &'a Chunk,
     space: PeriodicBox,
-    model: &'a M,
+    medium: &'a Medium<D>,
     sensitivity: &'a [PackedSensitivity<D>],
     coupling: Coupling,
     density: &'a mut [Lanes],
 }
 
-impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityTangent<'_, M, D> {
+impl<const D: usize> NullaryFnOnce for DensityTangent<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let smoothing = self.model.smoothing();
+        let smoothing = &self.medium.smoothing;
         for (k, density) in self.density.iter_mut().enumerate() {
             let slot = self.chunk.first + k;
             let here = &self.packed[slot];
@@ -99,7 +123,7 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityTangent<'_, M, D> {
             let mut sum = Lanes::ZERO;
             for slots in self.chunk.neighbours(k) {
                 let r = separation::<D>(self.packed, here, slots, self.space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.model.mass();
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.medium.mass;
                 let pulls: Vector<Lanes, D> = r * pull;
                 let pulls = pulls.map(Lanes::to_array);
                 for (lane, &j) in slots.iter().enumerate() {
@@ -121,57 +145,103 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityTangent<'_, M, D> {
 }
 
 /// System: the tangent of [`sum_density`] for every block of parameters.
-pub fn sum_density_tangent<M: Model<D>, const D: usize>(
+pub fn sum_density_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    law: Res<Law<M>>,
+    (law, rooms): (Res<Law<D>>, Res<Rooms>),
     cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (model, coupling) = (&law.0, sensitivities.coupling);
-    for block in &mut sensitivities.blocks {
+    let (model, rooms) = (&*law.0, &*rooms);
+    let medium = model.medium();
+    let SensitivityCloud { blocks, coupling, stress_slopes, .. } = &mut *sensitivities;
+    stress_slopes.resize(cloud.len(), 0.0);
+    for block in blocks {
         let (packed, sensitivity) = (&cloud.packed, &block.packed);
+        let (space, coupling) = (neighbours.space, *coupling);
         let chunks = neighbours.chunks.par_iter().zip(block.density.par_chunks_mut(CHUNK));
         chunks.for_each(|(chunk, density)| {
-            let space = neighbours.space;
             let pass =
-                DensityTangent { packed, chunk, space, model, sensitivity, coupling, density };
+                DensityTangent { packed, chunk, space, medium, sensitivity, coupling, density };
             Arch::new().dispatch(pass);
         });
-        let lines = block.packed.par_iter_mut().zip(&block.density).zip(cloud.particles());
-        lines.with_min_len(CHUNK).for_each(|((line, &density), here)| {
-            let stress = model.stress_gradient(here.density);
-            line.density = density;
-            line.stress = density * stress.by_density;
-            for parameter in Parameter::ALL {
-                let slope = stress.by_parameter[parameter as usize];
-                line.stress += block.directions[parameter as usize] * slope;
-            }
+        let SensitivityBlock { packed, density, directions, weights, .. } = block;
+        let lines = packed.par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
+        let lines = lines.zip(cloud.particles().par_chunks(CHUNK));
+        let lines = lines.zip(stress_slopes.par_chunks_mut(CHUNK));
+        lines.for_each(|(((lines, density), particles), slopes)| {
+            rooms.enter(model.network(), |room| {
+                let (directions, weights) = (&*directions, weights.as_slice());
+                let columns = (directions, weights);
+                let into = (lines, slopes);
+                StressTangent { model, density, particles, columns, into, room }.run();
+            });
         });
     }
 }
 
+/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and one block of parameters.
+struct StressTangent<'a, const D: usize> {
+    model: &'a dyn Model<D>,
+    density: &'a [Lanes],
+    particles: &'a [Packed],
+    columns: (&'a [Lanes; Parameter::COUNT], &'a [(usize, usize)]),
+    into: (&'a mut [PackedSensitivity<D>], &'a mut [f64]),
+    room: &'a mut Room,
+}
+
+impl<const D: usize> StressTangent<'_, D> {
+    fn run(self) {
+        let Self { model, density, particles, columns: (directions, weights), into, room } = self;
+        let with_weights = !weights.is_empty() && model.has_stress_network();
+        let (lines, slopes) = into;
+        let rows = lines.chunks_mut(WIDTH).zip(slopes.chunks_mut(WIDTH));
+        let rows = rows.zip(density.chunks(WIDTH)).zip(particles.chunks(WIDTH));
+        for (((lines, slopes), density), particles) in rows {
+            let rho = densities(particles);
+            let stress = model.stress_slope(rho, room);
+            if with_weights {
+                model.stress_weights(rho, room);
+            }
+            for (lane, line) in lines.iter_mut().enumerate() {
+                slopes[lane] = stress.by_density.lane(lane);
+                line.density = density[lane];
+                line.stress = density[lane] * slopes[lane];
+                for (direction, slope) in directions.iter().zip(&stress.by_parameter) {
+                    line.stress += *direction * slope.lane(lane);
+                }
+                if with_weights {
+                    for &(column, weight) in weights {
+                        let slope = line.stress.lane(column) + room.weights[weight].lane(lane);
+                        line.stress.set_lane(column, slope);
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// `∂L/∂rᵢ += Σⱼ m G rᵢⱼ (∂L/∂ρᵢ + ∂L/∂ρⱼ)` over one chunk of particles.
-struct DensityPullback<'a, M, const D: usize> {
+struct DensityPullback<'a, const D: usize> {
     packed: &'a [Packed],
     adjoint: &'a [PackedAdjoint],
     chunk: &'a Chunk,
     space: PeriodicBox,
-    model: &'a M,
+    medium: &'a Medium<D>,
     position: &'a mut [Vector<f64, D>],
 }
 
-impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityPullback<'_, M, D> {
+impl<const D: usize> NullaryFnOnce for DensityPullback<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let smoothing = self.model.smoothing();
+        let smoothing = &self.medium.smoothing;
         for (k, position) in self.position.iter_mut().enumerate() {
             let slot = self.chunk.first + k;
             let mut sum = Vector::<Lanes, D>::zero();
             for slots in self.chunk.neighbours(k) {
                 let r = separation::<D>(self.packed, &self.packed[slot], slots, self.space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.model.mass();
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.medium.mass;
                 let both = gather(self.adjoint, slots, |a| a.density) + self.adjoint[slot].density;
                 sum += r * (pull * both);
             }
@@ -183,45 +253,75 @@ impl<M: Model<D>, const D: usize> NullaryFnOnce for DensityPullback<'_, M, D> {
 }
 
 /// System: the pullback of [`sum_density`]: `∂L/∂A` and `∂L/∂ρ` become `∂L/∂r` and parameters.
-pub fn sum_density_pullback<M: Model<D>, const D: usize>(
+pub fn sum_density_pullback<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    law: Res<Law<M>>,
+    (law, rooms): (Res<Law<D>>, Res<Rooms>),
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let AdjointCloud { packed: lines, position, stress, parameters, .. } = &mut *adjoint;
-    let model = &law.0;
-    let through_stress =
-        |(lines, (stresses, particles)): (&mut [PackedAdjoint], (&[f64], &[Packed]))| {
-            let mut sums = [0.0; Parameter::COUNT];
-            for ((line, &by_stress), here) in lines.iter_mut().zip(stresses).zip(particles) {
-                let stress = model.stress_gradient(here.density);
-                line.density += by_stress * stress.by_density;
-                for (sum, slope) in sums.iter_mut().zip(stress.by_parameter) {
-                    *sum += by_stress * slope;
-                }
-            }
-            sums
+    let AdjointCloud { packed: lines, position, scalars, parameters, .. } = &mut *adjoint;
+    let model = &*law.0;
+    let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
+    let pass =
+        |(lines, (scalars, particles)): (&mut [PackedAdjoint], (&[(f64, f64)], &[Packed]))| {
+            rooms.enter(model.network(), |room| {
+                room.clear();
+                pull_stress_back(model, room, (scalars, particles), lines)
+            })
         };
-    let chunks = stress.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
-    let sums: Vec<_> = lines.par_chunks_mut(CHUNK).zip(chunks).map(through_stress).collect();
+    let count = cloud.len();
+    let sums: Vec<_> = lines[..count].par_chunks_mut(CHUNK).zip(chunks).map(pass).collect();
     for sum in sums {
-        (0..Parameter::COUNT).for_each(|k| parameters[k] += sum[k]);
+        parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
     }
-    pull_density_back(&neighbours, model, (&cloud.packed, lines), position);
+    pull_density_back(&neighbours, model.medium(), (&cloud.packed, lines), position);
+}
+
+/// `∂L/∂ρᵢ` of some particles, through their stress and besides, into `lines`; returns the sums over
+/// the parameters.
+fn pull_stress_back<const D: usize>(
+    model: &dyn Model<D>,
+    room: &mut Room,
+    (scalars, particles): (&[(f64, f64)], &[Packed]),
+    lines: &mut [PackedAdjoint],
+) -> Vec<f64> {
+    let network = model.network().filter(|_| model.has_stress_network());
+    let weights = network.map_or(0, |network| network.weights.len());
+    let mut sums = vec![0.0; Parameter::COUNT + weights];
+    let rows = lines.chunks_mut(WIDTH).zip(scalars.chunks(WIDTH)).zip(particles.chunks(WIDTH));
+    for ((lines, scalars), particles) in rows {
+        let rho = densities(particles);
+        let slope = model.stress_slope(rho, room);
+        let mut by_stress = Lanes::ZERO;
+        for (lane, (line, scalar)) in lines.iter_mut().zip(scalars).enumerate() {
+            by_stress.set_lane(lane, scalar.0);
+            line.density = scalar.1 + scalar.0 * slope.by_density.lane(lane);
+        }
+        let (physical, learned) = sums.split_at_mut(Parameter::COUNT);
+        for (sum, by) in physical.iter_mut().zip(slope.by_parameter) {
+            *sum += (by * by_stress).sum();
+        }
+        if weights > 0 {
+            model.stress_weights(rho, room);
+            for (sum, by) in learned.iter_mut().zip(&room.weights) {
+                *sum += (*by * by_stress).sum();
+            }
+        }
+    }
+    sums
 }
 
 /// Adds to `∂L/∂r` what `∂L/∂ρ` makes of it, in cell order.
-pub fn pull_density_back<M: Model<D>, const D: usize>(
+pub fn pull_density_back<const D: usize>(
     neighbours: &Neighbours<D>,
-    model: &M,
+    medium: &Medium<D>,
     (packed, adjoint): (&[Packed], &[PackedAdjoint]),
     position: &mut [Vector<f64, D>],
 ) {
     let space = neighbours.space;
     let chunks = neighbours.chunks.par_iter().zip(position.par_chunks_mut(CHUNK));
     chunks.for_each(|(chunk, position)| {
-        let pass = DensityPullback { packed, adjoint, chunk, space, model, position };
+        let pass = DensityPullback { packed, adjoint, chunk, space, medium, position };
         Arch::new().dispatch(pass);
     });
 }

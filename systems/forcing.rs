@@ -5,7 +5,7 @@ use super::neighbours::CHUNK;
 use super::particles::{AdjointCloud, Cloud, SensitivityCloud};
 use super::verlet::{Clock, Integrator};
 use crate::forcing::{EnergyInjection, Mode, Power, stochastic_modes};
-use crate::models::{Model, Parameter};
+use crate::models::Parameter;
 use crate::scalar::Lanes;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -46,8 +46,8 @@ pub fn external_forces<const D: usize>(world: &World) -> Vec<Vector<f64, D>> {
 }
 
 /// System: adds `f = (θ/E)(v − v̄)`.
-pub fn force_deterministically<M: Model<D>, const D: usize>(
-    law: Res<Law<M>>,
+pub fn force_deterministically<const D: usize>(
+    law: Res<Law<D>>,
     mut forcing: ResMut<DeterministicForcing>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
@@ -71,7 +71,7 @@ pub fn force_deterministically_tangent<const D: usize>(
     let Some(law) = forcing.law else { return };
     let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
     for block in &mut sensitivities.blocks {
-        let theta = block.directions[Parameter::Theta as usize];
+        let theta = block.directions[Parameter::Theta.index()];
         let mut sums = (Vector::<Lanes, D>::zero(), Lanes::ZERO);
         for (change, p) in block.packed.iter().zip(cloud.particles()) {
             sums.0 += change.velocity;
@@ -208,7 +208,7 @@ pub fn force_deterministically_pullback<const D: usize>(
     let AdjointCloud { packed, velocity, parameters, .. } = &mut *adjoint;
     let velocities = cloud.particles().iter().map(|p| p.velocity);
     let forces = packed.iter().map(|line| line.force);
-    parameters[Parameter::Theta as usize] += law.pullback(velocities, forces, velocity);
+    parameters[Parameter::Theta.index()] += law.pullback(velocities, forces, velocity);
 }
 
 /// System: the pullback of [`force_stochastically`].

@@ -6,11 +6,12 @@ use super::neighbours::Neighbours;
 use super::particles::{Cloud, SensitivityCloud};
 use super::tape::{FrameAdjoint, Tape};
 use super::verlet::Clock;
+use crate::kernel::KernelName;
 use crate::losses::{
     Mesh, Points, SquareSum, StateAdjoint, field_adjoint, field_loss, trajectory_adjoint,
     trajectory_loss,
 };
-use crate::models::Model;
+use crate::models::Medium;
 use crate::packed::PackedAdjoint;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -69,10 +70,10 @@ pub fn is_observed<const D: usize>(
 }
 
 /// System: adds an observed frame's share to the loss.
-pub fn accumulate_loss<M: Model<D>, const D: usize>(
+pub fn accumulate_loss<const D: usize>(
     clock: Res<Clock>,
     observations: Res<Observations<D>>,
-    (law, neighbours, cloud): (Res<Law<M>>, Res<Neighbours<D>>, Res<Cloud<D>>),
+    (law, neighbours, cloud): (Res<Law<D>>, Res<Neighbours<D>>, Res<Cloud<D>>),
     sensitivities: Option<Res<SensitivityCloud<D>>>,
     mut loss: ResMut<LossSum>,
 ) {
@@ -94,7 +95,7 @@ pub fn accumulate_loss<M: Model<D>, const D: usize>(
         loss.trajectory.merge(&trajectory_loss(cloud.particles(), &blocks, truth, share));
     }
     if observations.field > 0.0 {
-        let points = points(&law.0, &neighbours, &cloud);
+        let points = points(law.0.medium(), &neighbours, &cloud);
         let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
         loss.field.merge(&field_loss(&observations.mesh, &points, &blocks, share));
     }
@@ -102,10 +103,10 @@ pub fn accumulate_loss<M: Model<D>, const D: usize>(
 
 /// System: as [`accumulate_loss`] without sensitivities; keeps on the tape how the loss depends on
 /// the state of every particle.
-pub fn accumulate_loss_adjoint<M: Model<D>, const D: usize>(
+pub fn accumulate_loss_adjoint<const D: usize>(
     clock: Res<Clock>,
     observations: Res<Observations<D>>,
-    (law, neighbours, cloud): (Res<Law<M>>, Res<Neighbours<D>>, Res<Cloud<D>>),
+    (law, neighbours, cloud): (Res<Law<D>>, Res<Neighbours<D>>, Res<Cloud<D>>),
     mut tape: ResMut<Tape<D>>,
     mut loss: ResMut<LossSum>,
 ) {
@@ -124,7 +125,7 @@ pub fn accumulate_loss_adjoint<M: Model<D>, const D: usize>(
         adjoint.merge(&part);
     }
     if observations.field > 0.0 {
-        let points = points(&law.0, &neighbours, &cloud);
+        let points = points(law.0.medium(), &neighbours, &cloud);
         let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
         let part = field_adjoint(&observations.mesh, &points, share);
         loss.field.value += part.value;
@@ -133,7 +134,7 @@ pub fn accumulate_loss_adjoint<M: Model<D>, const D: usize>(
         let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
         lines.push(PackedAdjoint::ZERO);
         let state = (cloud.packed.as_slice(), lines.as_slice());
-        pull_density_back(&neighbours, &law.0, state, &mut adjoint.position);
+        pull_density_back(&neighbours, law.0.medium(), state, &mut adjoint.position);
     }
     if !tape.running {
         return;
@@ -145,16 +146,16 @@ pub fn accumulate_loss_adjoint<M: Model<D>, const D: usize>(
     tape.push_frame(FrameAdjoint { step: clock.step, position, velocity });
 }
 
-fn points<'a, M: Model<D>, const D: usize>(
-    model: &'a M,
+fn points<'a, const D: usize>(
+    medium: &'a Medium<D>,
     neighbours: &'a Neighbours<D>,
     cloud: &'a Cloud<D>,
-) -> Points<'a, M::Kernel, D> {
+) -> Points<'a, KernelName, D> {
     Points {
         packed: cloud.particles(),
         cells: &neighbours.cells,
         space: neighbours.space,
-        smoothing: model.smoothing(),
-        mass: model.mass(),
+        smoothing: &medium.smoothing,
+        mass: medium.mass,
     }
 }

@@ -27,13 +27,11 @@ pub mod density;
 pub mod forcing;
 pub mod loss;
 pub mod neighbours;
-pub mod pairs;
 pub mod particles;
 pub mod tape;
 pub mod verlet;
 pub mod watch;
 
-use crate::models::Model;
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 use bevy_ecs::system::ScheduleSystem;
@@ -133,40 +131,40 @@ pub struct Needs {
 }
 
 /// The schedule of one step for a model `M` in dimension `D`.
-pub fn advance<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+pub fn advance<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_order(Program::Advance);
     let add = &mut schedule;
     if needs.step.refreshes() {
         add_packed_velocities::<false, D>(add, needs, Refresh::Pack);
-        add_forces::<M, D>(add, needs, [Refresh::Force, Refresh::Forcing, Refresh::Return]);
+        add_forces::<D>(add, needs, [Refresh::Force, Refresh::Forcing, Refresh::Return]);
     }
     with_tangent(add, needs, (verlet::kick::<D>, verlet::kick_tangent::<D>), Phase::FirstKick);
     with_tangent(add, needs, (verlet::drift::<D>, verlet::drift_tangent::<D>), Phase::Drift);
     if needs.step.predicts() {
-        add_density::<M, true, D>(add, needs);
+        add_density::<true, D>(add, needs);
     } else {
-        add_density::<M, false, D>(add, needs);
+        add_density::<false, D>(add, needs);
     }
-    add_forces::<M, D>(add, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
+    add_forces::<D>(add, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
     let kick = (verlet::kick::<D>, verlet::tick).chain();
     with_tangent(add, needs, (kick, verlet::kick_tangent::<D>), Phase::SecondKick);
-    add_judgement::<M, D>(add, needs);
+    add_judgement::<D>(add, needs);
     schedule
 }
 
 /// The schedule that finds density and force of the initial state.
-pub fn start<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+pub fn start<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_order(Program::Start);
-    add_density::<M, false, D>(&mut schedule, needs);
-    add_forces::<M, D>(&mut schedule, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
-    add_judgement::<M, D>(&mut schedule, needs);
+    add_density::<false, D>(&mut schedule, needs);
+    add_forces::<D>(&mut schedule, needs, [Phase::Force, Phase::Forcing, Phase::Return]);
+    add_judgement::<D>(&mut schedule, needs);
     schedule
 }
 
 /// The schedule that brings neighbours and density of a restored state up to date, and nothing else.
-pub fn prepare<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+pub fn prepare<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_order(Program::Prepare);
-    add_density::<M, false, D>(&mut schedule, needs);
+    add_density::<false, D>(&mut schedule, needs);
     schedule
 }
 
@@ -225,29 +223,26 @@ fn add_packed_velocities<const PREDICTED: bool, const D: usize>(
 }
 
 /// Neighbours and density: what the forces stand on.
-fn add_density<M: Model<D>, const PREDICTED: bool, const D: usize>(
-    schedule: &mut Schedule,
-    needs: Needs,
-) {
+fn add_density<const PREDICTED: bool, const D: usize>(schedule: &mut Schedule, needs: Needs) {
     schedule.add_systems(neighbours::find_neighbours::<D>.in_set(Phase::Neighbours));
     add_packed_velocities::<PREDICTED, D>(schedule, needs, Phase::Visible);
-    let density = (density::sum_density::<M, D>, density::write_density::<D>).chain();
-    let tangent = density::sum_density_tangent::<M, D>;
+    let density = (density::sum_density::<D>, density::write_density::<D>).chain();
+    let tangent = density::sum_density_tangent::<D>;
     with_tangent(schedule, needs, (density, tangent), Phase::Density);
 }
 
 /// Pair forces, forcing and the way back to the particles, in three sets that follow each other.
-fn add_forces<M: Model<D>, const D: usize>(
+fn add_forces<const D: usize>(
     schedule: &mut Schedule,
     needs: Needs,
     [pairs, external, back]: [impl SystemSet + Clone; 3],
 ) {
-    let accelerate = (acceleration::accelerate::<M, D>, acceleration::accelerate_tangent::<M, D>);
+    let accelerate = (acceleration::accelerate::<D>, acceleration::accelerate_tangent::<D>);
     with_tangent(schedule, needs, accelerate, pairs);
     match needs.stirring {
         Stirring::None => {}
         Stirring::Deterministic => {
-            let force = forcing::force_deterministically::<M, D>;
+            let force = forcing::force_deterministically::<D>;
             let tangent = forcing::force_deterministically_tangent::<D>;
             with_tangent(schedule, needs, (force, tangent), external);
         }
@@ -265,7 +260,7 @@ fn add_forces<M: Model<D>, const D: usize>(
 }
 
 /// The adjoint of [`advance`].
-pub fn retreat<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+pub fn retreat<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_reverse(Program::Retreat);
     let add = &mut schedule;
     if needs.loss {
@@ -274,9 +269,9 @@ pub fn retreat<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
     let kick = (verlet::tick_pullback, verlet::kick_pullback::<D>).chain();
     add.add_systems(kick.in_set(Phase::SecondKick));
     if needs.step.predicts() {
-        add_forces_pullback::<M, true, D>(add, needs, Phase::REVERSED_FORCES);
+        add_forces_pullback::<true, D>(add, needs, Phase::REVERSED_FORCES);
     } else {
-        add_forces_pullback::<M, false, D>(add, needs, Phase::REVERSED_FORCES);
+        add_forces_pullback::<false, D>(add, needs, Phase::REVERSED_FORCES);
     }
     add.add_systems((
         verlet::drift_pullback::<D>.in_set(Phase::Drift),
@@ -284,15 +279,15 @@ pub fn retreat<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
     ));
     if needs.step.refreshes() {
         let sets = [Refresh::Return, Refresh::Forcing, Refresh::Force, Refresh::Pack];
-        add_forces_pullback::<M, false, D>(add, needs, sets);
+        add_forces_pullback::<false, D>(add, needs, sets);
     }
     schedule
 }
 
 /// The adjoint of [`start`]: the force at step zero depends on the parameters, too.
-pub fn back_to_start<M: Model<D>, const D: usize>(needs: Needs) -> Schedule {
+pub fn back_to_start<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_reverse(Program::Return);
-    add_forces_pullback::<M, false, D>(&mut schedule, needs, Phase::REVERSED_FORCES);
+    add_forces_pullback::<false, D>(&mut schedule, needs, Phase::REVERSED_FORCES);
     if needs.loss {
         schedule.add_systems(tape::add_loss::<D>.in_set(Phase::Loss));
     }
@@ -315,14 +310,14 @@ fn in_reverse(program: Program) -> Schedule {
 }
 
 /// Pullbacks of one force evaluation, in four sets that follow each other.
-fn add_forces_pullback<M: Model<D>, const PREDICTED: bool, const D: usize>(
+fn add_forces_pullback<const PREDICTED: bool, const D: usize>(
     schedule: &mut Schedule,
     needs: Needs,
     [back, external, pairs, visible]: [impl SystemSet; 4],
 ) {
     schedule.add_systems((
         tape::rewind_evaluation::<D>.in_set(back),
-        (acceleration::accelerate_pullback::<M, D>, density::sum_density_pullback::<M, D>)
+        (acceleration::accelerate_pullback::<D>, density::sum_density_pullback::<D>)
             .chain()
             .in_set(pairs),
         tape::unpack_adjoint::<PREDICTED, D>.in_set(visible),
@@ -341,7 +336,7 @@ fn add_forces_pullback<M: Model<D>, const PREDICTED: bool, const D: usize>(
 }
 
 /// Loss of an observed step, with the velocities as they stand at its end, and the watch.
-fn add_judgement<M: Model<D>, const D: usize>(schedule: &mut Schedule, needs: Needs) {
+fn add_judgement<const D: usize>(schedule: &mut Schedule, needs: Needs) {
     if needs.loss {
         schedule.configure_sets(
             (Judgement::Pack, Judgement::Accumulate)
@@ -351,13 +346,13 @@ fn add_judgement<M: Model<D>, const D: usize>(schedule: &mut Schedule, needs: Ne
         );
         add_packed_velocities::<false, D>(schedule, needs, Judgement::Pack);
         if needs.adjoint {
-            let accumulate = loss::accumulate_loss_adjoint::<M, D>;
+            let accumulate = loss::accumulate_loss_adjoint::<D>;
             schedule.add_systems(accumulate.in_set(Judgement::Accumulate));
         } else {
-            schedule.add_systems(loss::accumulate_loss::<M, D>.in_set(Judgement::Accumulate));
+            schedule.add_systems(loss::accumulate_loss::<D>.in_set(Judgement::Accumulate));
         }
     }
-    schedule.add_systems(watch::watch::<M, D>.in_set(Phase::Watch));
+    schedule.add_systems(watch::watch::<D>.in_set(Phase::Watch));
 }
 
 /// The parts of [`Phase::Loss`].

@@ -9,6 +9,7 @@ use super::particles::{Acceleration, Cloud, Position, Velocity};
 use super::verlet::Integrator;
 use crate::cells::Cells;
 use crate::packed::Packed;
+pub use crate::pairs::{CHUNK, Chunk};
 use crate::scalar::{Lanes, Scalar, WIDTH};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -16,59 +17,6 @@ use bevy_ecs::prelude::*;
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 use std::sync::Arc;
-
-/// Particles per parallel task: fixed, so that no result depends on the number of threads.
-pub const CHUNK: usize = 256;
-
-/// The neighbours of [`CHUNK`] consecutive slots.
-#[derive(Clone, Debug, Default)]
-pub struct Chunk {
-    /// First slot of the chunk.
-    pub first: usize,
-    /// Where each slot's neighbours start in `index`; one more at the end.
-    start: Vec<u32>,
-    /// Slots, filled up to whole lanes with the slot of nobody, `N`.
-    index: Vec<u32>,
-}
-
-impl Chunk {
-    /// Number of slots.
-    pub fn len(&self) -> usize {
-        self.start.len().saturating_sub(1)
-    }
-
-    /// Whether the chunk has no slots.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        4 * (self.index.capacity() + self.start.capacity())
-    }
-
-    /// The neighbours of the chunk's `k`-th slot, eight at a time.
-    #[inline(always)]
-    pub fn neighbours(&self, k: usize) -> &[[u32; WIDTH]] {
-        self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
-    }
-
-    /// Appends those of the eight slots from `first` on, below `end`, that are in reach.
-    #[inline(always)]
-    fn append(&mut self, r2: Lanes, (slot, first, end): (usize, usize, usize), reach2: f64) {
-        let length = self.index.len();
-        self.index.resize(length + WIDTH, 0);
-        let room = &mut self.index[length..];
-        let mut kept = 0;
-        // Without a branch: every candidate is written, only a neighbour moves the place on.
-        for (lane, r2) in r2.to_array().into_iter().enumerate() {
-            let other = first + lane;
-            room[kept] = other as u32;
-            kept += usize::from(r2 < reach2 && other < end && other != slot);
-        }
-        self.index.truncate(length + kept);
-    }
-}
 
 /// What the lists of one chunk are built from.
 struct ListPass<'a, const D: usize> {
@@ -87,9 +35,7 @@ impl<const D: usize> NullaryFnOnce for ListPass<'_, D> {
     fn call(self) {
         let Self { chunk, columns, cells, space, reach2 } = self;
         let count = columns[0].len() - WIDTH;
-        chunk.start.clear();
-        chunk.index.clear();
-        chunk.start.push(0);
+        chunk.clear();
         for slot in chunk.first..(chunk.first + CHUNK).min(count) {
             let mut here = Vector::<f64, D>::zero();
             for axis in 0..D {
@@ -107,8 +53,7 @@ impl<const D: usize> NullaryFnOnce for ListPass<'_, D> {
                     chunk.append(r2, (slot, first, to as usize), reach2);
                 }
             }
-            chunk.index.resize(chunk.index.len().next_multiple_of(WIDTH), count as u32);
-            chunk.start.push(chunk.index.len() as u32);
+            chunk.close(count);
         }
     }
 }

@@ -1,10 +1,12 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
+use crate::models::{Learned, PairShare, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
 use crate::scalar::Lanes;
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// Number of the particle in its flow, `0..N`: the key under which recordings know it.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,10 +74,12 @@ pub struct AdjointCloud<const D: usize> {
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` through this evaluation, per slot.
     pub velocity: Vec<Vector<f64, D>>,
-    /// `∂L/∂A` per slot.
-    pub stress: Vec<f64>,
-    /// `∂L/∂(c, α, β, γ, θ)`, summed over the evaluations so far.
-    pub parameters: [f64; 5],
+    /// `(∂L/∂A, ∂L/∂ρ)` through the forces, per slot.
+    pub scalars: Vec<(f64, f64)>,
+    /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
+    pub shares: Vec<Vec<PairShare<D>>>,
+    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, summed over the evaluations so far.
+    pub parameters: Vec<f64>,
 }
 
 /// All particles in cell order, as contiguous arrays: what the pair loops run over.
@@ -130,6 +134,8 @@ pub struct SensitivityBlock<const D: usize> {
     pub acceleration: Vec<Vector<Lanes, D>>,
     /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
     pub directions: [Lanes; 5],
+    /// `(lane, place in the network)` of the weights among the eight.
+    pub weights: Vec<(usize, usize)>,
 }
 
 /// The blocks of a World that learns; absent where nothing is learned.
@@ -139,4 +145,24 @@ pub struct SensitivityCloud<const D: usize> {
     pub blocks: Vec<SensitivityBlock<D>>,
     /// Which derivatives of the force are kept.
     pub coupling: Coupling,
+    /// `∂A/∂ρ` per slot.
+    pub stress_slopes: Vec<f64>,
+    /// `∂F/∂weights` at fixed state, `[slot][axis][weight]`; empty where no network makes the force.
+    pub weight_shares: Vec<f64>,
+}
+
+/// Rooms in which threads evaluate the model: as many as were ever needed at once.
+#[derive(Resource, Debug, Default)]
+pub struct Rooms(Mutex<Vec<Room>>);
+
+impl Rooms {
+    /// Calls `work` with a room for this network.
+    pub fn enter<T>(&self, network: Option<&Learned>, work: impl FnOnce(&mut Room) -> T) -> T {
+        // A poisoned lock only means that another thread's work panicked; rooms hold no state.
+        let taken = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut room = taken.unwrap_or_else(|| Room::new(network));
+        let result = work(&mut room);
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(room);
+        result
+    }
 }

@@ -121,7 +121,7 @@ pub fn rewind_evaluation<const D: usize>(
         column.clear();
         column.resize(count, Vector::zero());
     }
-    adjoint.stress.resize(count, 0.0);
+    adjoint.scalars.resize(count, (0.0, 0.0));
     let mut slots = cloud.slot_of_row.iter();
     for column in rows.contiguous_iter_mut().into_iter().flatten() {
         for (a, &slot) in column.into_iter().zip(&mut slots) {

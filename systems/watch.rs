@@ -4,7 +4,6 @@ use super::acceleration::Law;
 use super::particles::{Acceleration, Density, Position, Velocity};
 use super::verlet::{Clock, Integrator};
 use crate::error::Error;
-use crate::models::{Model, Parameter};
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -30,9 +29,9 @@ impl Default for Limits {
 pub struct Failure(pub Option<Error>);
 
 /// System: looks at every particle after every step.
-pub fn watch<M: Model<D>, const D: usize>(
+pub fn watch<const D: usize>(
     particles: Query<(&Position<D>, &Velocity<D>, &Acceleration<D>, &Density)>,
-    (limits, integrator, clock, law): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Law<M>>),
+    (limits, integrator, clock, law): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Law<D>>),
     mut failure: ResMut<Failure>,
 ) {
     if failure.0.is_some() {
@@ -40,8 +39,6 @@ pub fn watch<M: Model<D>, const D: usize>(
     }
     let mut look = Look::default();
     let mut row = 0;
-    let parameters = law.0.parameters();
-    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
     for (r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
         for (((r, v), a), rho) in r.iter().zip(v).zip(a).zip(rho) {
             let finite = [r.0.is_finite(), v.0.is_finite(), rho.0.is_finite(), a.0.is_finite()];
@@ -50,8 +47,7 @@ pub fn watch<M: Model<D>, const D: usize>(
             }
             let square = v.0.norm_squared();
             look.energy += 0.5 * square;
-            let sound = c.abs() * rho.0.max(0.0).powf(0.5 * (gamma - 1.0));
-            look.see_speed(sound + square.sqrt(), row);
+            look.see_speed(law.0.sound_speed(rho.0) + square.sqrt(), row);
             row += 1;
         }
     }

@@ -68,7 +68,7 @@ fn both<const D: usize>(scene: &Scene, storage: Storage) -> ([f64; 5], [f64; 5],
         sum.trajectory.value + sum.field.value,
         found.loss.trajectory.value + found.loss.field.value,
     ];
-    (exact.try_into().unwrap(), found.gradient.0, losses)
+    (exact.try_into().unwrap(), found.gradient.try_into().unwrap(), losses)
 }
 
 #[test]

@@ -3,7 +3,7 @@
 mod common;
 
 use common::in_2d_and_3d;
-use whirls::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
+use whirls::kernel::{CubicSpline, Kernel, KernelName, Smoothing, WendlandC2, WendlandC4};
 use whirls::scalar::{Dual, Lanes, Scalar, WIDTH};
 
 in_2d_and_3d!(
@@ -22,9 +22,12 @@ const H: f64 = 0.7;
 /// Runs a check on every kernel.
 macro_rules! every_kernel {
     ($check:ident, $D:ident) => {
-        $check(CubicSpline::NAME, &Smoothing::<CubicSpline, $D>::new(H));
-        $check(WendlandC2::NAME, &Smoothing::<WendlandC2, $D>::new(H));
-        $check(WendlandC4::NAME, &Smoothing::<WendlandC4, $D>::new(H));
+        $check("cubic-spline", &Smoothing::<CubicSpline, $D>::new(H));
+        $check("wendland-c2", &Smoothing::<WendlandC2, $D>::new(H));
+        $check("wendland-c4", &Smoothing::<WendlandC4, $D>::new(H));
+        for kernel in [KernelName::CubicSpline, KernelName::WendlandC2, KernelName::WendlandC4] {
+            $check("by name", &Smoothing::<KernelName, $D>::of(kernel, H));
+        }
     };
 }
 

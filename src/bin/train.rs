@@ -57,9 +57,9 @@ struct Report {
     iterations: usize,
     loss_initial: f64,
     loss_final: f64,
-    parameters: BTreeMap<&'static str, f64>,
+    parameters: BTreeMap<String, f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    truth: Option<BTreeMap<&'static str, f64>>,
+    truth: Option<BTreeMap<String, f64>>,
     seconds: Seconds,
     recording: PathBuf,
 }
@@ -113,19 +113,20 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         .record
         .clone()
         .unwrap_or_else(|| PathBuf::from(format!("recordings/{}.mcap", scene.name)));
-    let mut recorder = Recorder::create(&path, &run_info(scene, "train"))?;
+    let mut info = run_info(scene, "train");
+    info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+    let mut recorder = Recorder::create(&path, &info)?;
     for (k, (state, densities)) in
         lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate()
     {
         recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
     }
-    let learned: Vec<&str> = learner.columns().iter().map(|p| p.name()).collect();
-    let text = format!("learning {} from {} steps", learned.join(", "), lesson.learn.frames);
+    let text = format!("learning {} from {} steps", what(&learner), lesson.learn.frames);
     recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
     let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
-        record_learned(scene, &lesson, &outcome, &mut recorder).map(|()| outcome)
+        record_learned(scene, (&lesson, &learner), &outcome, &mut recorder).map(|()| outcome)
     });
     let (level, text) = match &outcome {
         Ok(o) => (
@@ -138,7 +139,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     recorder.finish()?;
     let outcome = outcome?;
     let train = clock.elapsed().as_secs_f64();
-    let report = report(scene, &lesson, &outcome, (train, path, learner.gradient().name()));
+    let report = report(scene, (&lesson, &learner), &outcome, (train, path));
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -173,18 +174,28 @@ fn first_guess<const D: usize>(
         return Ok(learner.guess(scene.seed));
     };
     let earlier = Recording::open(path)?;
-    let names: Vec<&str> =
-        scene.learn.iter().flat_map(|l| &l.parameters).map(|p| p.name()).collect();
+    let names: Vec<String> = learner.columns().iter().map(|p| p.name().into_owned()).collect();
     let steps = earlier.train_steps()?;
     match steps.last() {
         Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),
         _ => Err(Error::input(
             path.display(),
-            format!("at least one iteration over {}", names.join(", ")),
+            format!("at least one iteration over {}", what(learner)),
             format!("{} iterations over {}", steps.len(), earlier.run().parameters.join(", ")),
             "resume with the scene that wrote the recording",
         )),
     }
+}
+
+/// What is learned, in words.
+fn what<const D: usize>(learner: &Learner<D>) -> String {
+    let (weights, physical): (Vec<Parameter>, Vec<Parameter>) =
+        learner.columns().iter().partition(|p| matches!(p, Parameter::Weight(_)));
+    let mut names: Vec<String> = physical.iter().map(|p| p.name().into_owned()).collect();
+    if !weights.is_empty() {
+        names.push(format!("{} weights", weights.len()));
+    }
+    names.join(", ")
 }
 
 fn search<const D: usize>(
@@ -233,36 +244,32 @@ fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> 
 /// Runs the learned flow once more, and records it beside the truth.
 fn record_learned<const D: usize>(
     scene: &Scene,
-    lesson: &Lesson<D>,
+    (lesson, learner): (&Lesson<D>, &Learner<D>),
     outcome: &Outcome,
     recorder: &mut Recorder,
 ) -> Result<()> {
-    let mut flow = Flow::<D>::from_state(scene, &lesson.truth.states[0])?;
-    let mut parameters = scene.parameters();
-    for (&parameter, &value) in lesson.learn.parameters.iter().zip(&outcome.evaluation.parameters) {
-        parameters.set(parameter, value);
-    }
-    flow.set_parameters(parameters);
+    let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
+    flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
     let steps = (lesson.learn.frames as u64, scene.record.every);
     run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})
 }
 
 fn report<const D: usize>(
     scene: &Scene,
-    lesson: &Lesson<D>,
+    (lesson, learner): (&Lesson<D>, &Learner<D>),
     outcome: &Outcome,
-    (train, recording, gradient): (f64, PathBuf, &'static str),
+    (train, recording): (f64, PathBuf),
 ) -> Report {
     let named = |values: &[f64]| {
-        let names = lesson.learn.parameters.iter().map(|p: &Parameter| p.name());
+        let names = learner.columns().iter().map(|p: &Parameter| p.name().into_owned());
         names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
     };
     Report {
         scene: scene.name.clone(),
-        model: "physics",
+        model: lesson.learn.model.kind(),
         particles: lesson.truth.densities[0].len(),
         steps: lesson.learn.frames,
-        gradient,
+        gradient: learner.gradient().name(),
         iterations: outcome.iterations,
         loss_initial: outcome.initial_loss,
         loss_final: outcome.evaluation.loss,
@@ -284,7 +291,16 @@ fn describe(report: &Report) {
         report.iterations,
         report.seconds.train
     ));
+    let physical = Parameter::ALL.map(|p| p.name());
+    let weights = report.parameters.keys().filter(|name| !physical.contains(&name.as_str().into()));
+    match weights.count() {
+        0 => {}
+        count => say(format!("  {} with {count} weights", report.model)),
+    }
     for (name, value) in &report.parameters {
+        if !physical.contains(&name.as_str().into()) {
+            continue;
+        }
         let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {
             Some(truth) => format!("   truth {truth}, off by {:.1e}", (value - truth).abs()),
             None => String::new(),

@@ -2,7 +2,6 @@
 
 use super::{Flow, State};
 use crate::error::Result;
-use crate::models::Parameters;
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
@@ -90,7 +89,7 @@ impl<const D: usize> Flow<D> {
             tape.clear();
         }
         if let Some(mut adjoint) = world.get_resource_mut::<AdjointCloud<D>>() {
-            adjoint.parameters = Default::default();
+            adjoint.parameters.fill(0.0);
         }
     }
 
@@ -108,10 +107,11 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// `∂L/∂(c, α, β, γ, θ)` gathered on the way back.
-    pub fn adjoint_gradient(&self) -> Parameters<f64> {
+    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, gathered on the way back; see
+    /// [`crate::models::Parameter::index`].
+    pub fn adjoint_gradient(&self) -> Vec<f64> {
         let adjoint = self.world.get_resource::<AdjointCloud<D>>();
-        Parameters(adjoint.map_or([0.0; 5], |adjoint| adjoint.parameters))
+        adjoint.map(|adjoint| adjoint.parameters.clone()).unwrap_or_default()
     }
 
     /// `(∂L/∂r, ∂L/∂v)` where the way back now stands, particle `k` in row `k`.

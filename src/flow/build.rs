@@ -11,7 +11,7 @@ use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    Density, Identity, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
+    Density, Identity, Position, PositionAdjoint, PositionSensitivity, Rooms, SensitivityBlock,
     SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
 use crate::systems::tape::Tape;
@@ -45,6 +45,7 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Clock::default());
     world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
     world.insert_resource(Cloud::<D>::default());
+    world.insert_resource(Rooms::default());
     world.insert_resource(scene.limits);
     world.insert_resource(Failure::default());
 }
@@ -67,8 +68,12 @@ pub(super) fn spawn_sensitivities<const D: usize>(
     differentiation: &Differentiation,
 ) {
     let blocks = differentiation.parameters.len().div_ceil(WIDTH);
-    let mut cloud =
-        SensitivityCloud::<D> { blocks: Vec::new(), coupling: differentiation.coupling };
+    let mut cloud = SensitivityCloud::<D> {
+        blocks: Vec::new(),
+        coupling: differentiation.coupling,
+        stress_slopes: Vec::new(),
+        weight_shares: Vec::new(),
+    };
     for block in 0..blocks {
         let rows = (0..count as u32).map(move |particle| {
             let zero = no_change::<D>();
@@ -78,21 +83,26 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         });
         world.spawn_batch(rows);
         let mut directions = [Lanes::ZERO; Parameter::COUNT];
+        let mut weights = Vec::new();
         let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
         for (lane, &parameter) in learned.enumerate() {
-            directions[parameter as usize] = Lanes::unit(lane);
+            match parameter {
+                Parameter::Weight(place) => weights.push((lane, place as usize)),
+                physical => directions[physical.index()] = Lanes::unit(lane),
+            }
         }
         cloud.blocks.push(SensitivityBlock {
             packed: vec![PackedSensitivity::ZERO; count],
             density: vec![Lanes::ZERO; count],
             acceleration: vec![no_change(); count],
             directions,
+            weights,
         });
     }
     world.insert_resource(cloud);
 }
 
-pub(super) fn insert_adjoint<const D: usize>(world: &mut World) {
+pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {
     let particles: Vec<Entity> =
         world.query_filtered::<Entity, With<Identity>>().iter(world).collect();
     let zeros = (
@@ -101,6 +111,7 @@ pub(super) fn insert_adjoint<const D: usize>(world: &mut World) {
         AccelerationAdjoint::<D>::default(),
     );
     world.insert_batch(particles.into_iter().map(|particle| (particle, zeros)));
-    world.insert_resource(AdjointCloud::<D>::default());
+    let adjoint = AdjointCloud::<D> { parameters: vec![0.0; parameters], ..Default::default() };
+    world.insert_resource(adjoint);
     world.insert_resource(Tape::<D>::default());
 }

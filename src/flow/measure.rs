@@ -1,7 +1,7 @@
 //! What a flow can be asked: where it stands, what its particles do, what it holds.
 
 use super::{Flow, State};
-use crate::statistics::MomentumRates;
+use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
     Acceleration, Cloud, Density, Identity, Position, SensitivityCloud, Velocity,
@@ -58,17 +58,17 @@ impl<const D: usize> Flow<D> {
 
     /// Mass of each particle.
     pub fn mass(&self) -> f64 {
-        (self.law.mass)(&self.world)
+        self.model().mass()
     }
 
     /// Smoothing length `h`.
     pub fn smoothing_length(&self) -> f64 {
-        (self.law.smoothing_length)(&self.world)
+        self.model().smoothing().h
     }
 
     /// `Σ m a` per system at the last force evaluation.
     pub fn momentum_rates(&self) -> MomentumRates<D> {
-        (self.law.rates)(&self.world)
+        statistics::momentum_rates(&self.world)
     }
 
     /// Bytes per particle of everything the World holds for it, by part.

@@ -9,12 +9,11 @@ pub use adjoint::Snapshot;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
-use crate::kernel::{CubicSpline, Kernel, Smoothing, WendlandC2, WendlandC4};
-use crate::models::{Model, Parameter, Parameters, Physics};
+use crate::kernel::Smoothing;
+use crate::models::{Medium, Model, ModelChoice, Parameter, Parameters};
 use crate::scalar::WIDTH;
-use crate::scene::{KernelName, Scene};
+use crate::scene::Scene;
 use crate::sensitivity::Coupling;
-use crate::statistics::{self, MomentumRates};
 use crate::systems::acceleration::Law;
 use crate::systems::loss::{LossSum, Observations};
 use crate::systems::neighbours::Neighbours;
@@ -48,7 +47,6 @@ pub struct Flow<const D: usize> {
     advance: Schedule,
     started: bool,
     backward: Option<Backward>,
-    law: Erased<D>,
     columns: Vec<Parameter>,
 }
 
@@ -62,6 +60,7 @@ struct Backward {
 /// Everything that a flow is made of.
 struct Request<const D: usize> {
     scene: Scene,
+    model: ModelChoice,
     state: State<D>,
     differentiation: Option<Differentiation>,
     observations: Option<Observations<D>>,
@@ -69,35 +68,13 @@ struct Request<const D: usize> {
 }
 
 #[inline(never)]
-fn assemble_2d(request: Request<2>) -> Flow<2> {
+fn assemble_2d(request: Request<2>) -> Result<Flow<2>> {
     Flow::with_law(request)
 }
 
 #[inline(never)]
-fn assemble_3d(request: Request<3>) -> Flow<3> {
+fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
     Flow::with_law(request)
-}
-
-/// The few operations that need the model's type, which only the scene knows.
-#[derive(Clone, Copy)]
-struct Erased<const D: usize> {
-    set: fn(&mut World, Parameters<f64>),
-    get: fn(&World) -> Parameters<f64>,
-    mass: fn(&World) -> f64,
-    smoothing_length: fn(&World) -> f64,
-    rates: fn(&World) -> MomentumRates<D>,
-}
-
-impl<const D: usize> Erased<D> {
-    fn of<M: Model<D>>() -> Self {
-        Self {
-            set: |world, parameters| world.resource_mut::<Law<M>>().0.set_parameters(parameters),
-            get: |world| *world.resource::<Law<M>>().0.parameters(),
-            mass: |world| world.resource::<Law<M>>().0.mass(),
-            smoothing_length: |world| world.resource::<Law<M>>().0.smoothing().h,
-            rates: statistics::momentum_rates::<M, D>,
-        }
-    }
 }
 
 impl<const D: usize> Flow<D> {
@@ -106,12 +83,21 @@ impl<const D: usize> Flow<D> {
         Self::from_state(scene, &State::initial(scene))
     }
 
-    /// The flow of a scene from a given state.
+    /// The flow of a scene from a given state, by the scene's own law: the truth.
     pub fn from_state(scene: &Scene, state: &State<D>) -> Result<Self> {
-        Self::build(scene, state, None, None)
+        Self::must_fit(scene)?;
+        Self::assemble(Request {
+            scene: scene.clone(),
+            model: ModelChoice::Physics,
+            state: state.clone(),
+            differentiation: None,
+            observations: None,
+            adjoint: false,
+        })
     }
 
-    /// The flow of a scene that carries sensitivities, is compared with observations, or both.
+    /// The flow of the model that a scene learns, which carries sensitivities, is compared with
+    /// observations, or both. The weights of a network are those drawn by the scene's seed.
     pub fn build(
         scene: &Scene,
         state: &State<D>,
@@ -121,6 +107,7 @@ impl<const D: usize> Flow<D> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
             scene: scene.clone(),
+            model: scene.model(),
             state: state.clone(),
             differentiation: differentiation.cloned(),
             observations,
@@ -137,6 +124,7 @@ impl<const D: usize> Flow<D> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
             scene: scene.clone(),
+            model: scene.model(),
             state: state.clone(),
             differentiation: None,
             observations: Some(observations),
@@ -149,9 +137,9 @@ impl<const D: usize> Flow<D> {
     fn assemble(request: Request<D>) -> Result<Self> {
         let request: Box<dyn Any> = Box::new(request);
         let flow: Option<Box<dyn Any>> = match request.downcast::<Request<2>>() {
-            Ok(request) => Some(Box::new(assemble_2d(*request))),
+            Ok(request) => Some(Box::new(assemble_2d(*request)?)),
             Err(request) => match request.downcast::<Request<3>>() {
-                Ok(request) => Some(Box::new(assemble_3d(*request))),
+                Ok(request) => Some(Box::new(assemble_3d(*request)?)),
                 Err(_) => None,
             },
         };
@@ -161,13 +149,20 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    fn with_law(request: Request<D>) -> Self {
-        // The one place where a scene's choice of a law becomes a type.
-        match request.scene.fluid.kernel {
-            KernelName::CubicSpline => Self::with_kernel::<CubicSpline>(request),
-            KernelName::WendlandC2 => Self::with_kernel::<WendlandC2>(request),
-            KernelName::WendlandC4 => Self::with_kernel::<WendlandC4>(request),
-        }
+    /// The one place where a scene's choice of a law becomes a type.
+    fn with_law(request: Request<D>) -> Result<Self> {
+        let fluid = &request.scene.fluid;
+        let medium = Medium {
+            mass: fluid.box_length.powi(D as i32) / request.state.positions.len() as f64,
+            smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
+            parameters: request.scene.parameters(),
+        };
+        let (choice, seed) = (request.model.clone(), request.scene.seed);
+        let model = choice.build(medium)?;
+        let mut flow = Self::with_model(request, model);
+        let weights = flow.draw_weights(seed);
+        flow.set_weights(&weights);
+        Ok(flow)
     }
 
     fn must_fit(scene: &Scene) -> Result<()> {
@@ -182,16 +177,8 @@ impl<const D: usize> Flow<D> {
         ))
     }
 
-    fn with_kernel<K: Kernel>(request: Request<D>) -> Self {
-        let fluid = &request.scene.fluid;
-        let smoothing = Smoothing::<K, D>::new(fluid.smoothing_length);
-        let mass = fluid.box_length.powi(D as i32) / request.state.positions.len() as f64;
-        let model = Physics::new(mass, smoothing, request.scene.parameters());
-        Self::with_model(request, model)
-    }
-
-    fn with_model<M: Model<D>>(request: Request<D>, model: M) -> Self {
-        let Request { scene, state, differentiation, observations, adjoint } = request;
+    fn with_model(request: Request<D>, model: Box<dyn Model<D>>) -> Self {
+        let Request { scene, state, differentiation, observations, adjoint, .. } = request;
         let mut world = World::new();
         let needs = Needs {
             step: scene.time.step,
@@ -201,10 +188,11 @@ impl<const D: usize> Flow<D> {
             loss: observations.is_some(),
         };
         insert_motion::<D>(&mut world, &scene);
+        let weights = model.network().map_or(0, |network| network.weights.len());
         world.insert_resource(Law(model));
         spawn_particles(&mut world, &state);
         if adjoint {
-            insert_adjoint::<D>(&mut world);
+            insert_adjoint::<D>(&mut world, Parameter::COUNT + weights);
         }
         if let Some(differentiation) = &differentiation {
             spawn_sensitivities::<D>(&mut world, state.positions.len(), differentiation);
@@ -216,15 +204,14 @@ impl<const D: usize> Flow<D> {
         }
         Self {
             world,
-            start: systems::start::<M, D>(needs),
-            advance: systems::advance::<M, D>(needs),
+            start: systems::start::<D>(needs),
+            advance: systems::advance::<D>(needs),
             started: false,
             backward: adjoint.then(|| Backward {
-                prepare: systems::prepare::<M, D>(needs),
-                retreat: systems::retreat::<M, D>(needs),
-                back_to_start: systems::back_to_start::<M, D>(needs),
+                prepare: systems::prepare::<D>(needs),
+                retreat: systems::retreat::<D>(needs),
+                back_to_start: systems::back_to_start::<D>(needs),
             }),
-            law: Erased::of::<M>(),
             columns,
         }
     }
@@ -299,14 +286,56 @@ impl<const D: usize> Flow<D> {
         self.started = false;
     }
 
+    /// The model that moves the particles.
+    pub fn model(&self) -> &dyn Model<D> {
+        &*self.world.resource::<Law<D>>().0
+    }
+
+    fn model_mut(&mut self) -> &mut dyn Model<D> {
+        &mut *self.world.resource_mut::<Law<D>>().into_inner().0
+    }
+
     /// The physical parameters in force.
     pub fn parameters(&self) -> Parameters<f64> {
-        (self.law.get)(&self.world)
+        *self.model().parameters()
     }
 
     /// Puts other physical parameters in force, from the next force evaluation on.
     pub fn set_parameters(&mut self, parameters: Parameters<f64>) {
-        (self.law.set)(&mut self.world, parameters);
+        self.model_mut().set_parameters(parameters);
+    }
+
+    /// The weights of the model's network, none where it has no network.
+    pub fn weights(&self) -> Vec<f64> {
+        self.model().network().map(|network| network.weights.clone()).unwrap_or_default()
+    }
+
+    /// Puts other weights in force, from the next force evaluation on; as many as
+    /// [`Flow::weights`] gives.
+    pub fn set_weights(&mut self, weights: &[f64]) {
+        if let Some(network) = self.model_mut().network_mut() {
+            network.weights.copy_from_slice(weights);
+        }
+    }
+
+    /// The weights that a seed draws for the model's network.
+    pub fn draw_weights(&self, seed: u64) -> Vec<f64> {
+        let mut generator = stream(seed, Stream::Weights);
+        let network = self.model().network();
+        network.map(|network| network.shape.initial(&mut generator)).unwrap_or_default()
+    }
+
+    /// Puts the values of some parameters in force, and leaves the others as they are.
+    pub fn set_learned(&mut self, parameters: &[Parameter], values: &[f64]) {
+        let (mut physical, mut weights) = (self.parameters(), self.weights());
+        for (&parameter, &value) in parameters.iter().zip(values) {
+            match parameter {
+                Parameter::Weight(place) => weights[place as usize] = value,
+                _ => physical.set(parameter, value),
+            }
+        }
+        self.set_parameters(physical);
+        self.set_weights(&weights);
     }
 
     /// Which parameters the sensitivities are for, column by column.

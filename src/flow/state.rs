@@ -56,6 +56,8 @@ pub enum Stream {
     Initial = 0,
     /// The guess that a search starts from.
     Guess = 1,
+    /// The weights that a network starts from.
+    Weights = 2,
 }
 
 /// A portable generator: the same numbers on every machine.

@@ -1,92 +1,315 @@
-//! The hierarchy of models: which law moves the particles.
+//! The hierarchy of models, Eqs. (2) to (7): which law moves the particles.
 //!
-//! A model is a struct with parameters that implements [`Model`]; it says what each particle brings
-//! to its pairs (its *stress*) and how strongly a pair pushes. The systems are generic over it, so a
-//! scene chooses a model by choosing a type, once, where it becomes a World.
+//! A model says what a particle is by itself ([`Constitutive`]: its *stress*, what it brings to its
+//! pairs) and what two particles do to each other ([`PairLaw`]), each with its derivatives; the loops
+//! over particles, forwards and backwards, follow from that. A model whose particles see all their
+//! neighbours at once ([`Node`]) writes its loops itself ([`Model`]). The systems call a [`Model`] once
+//! per chunk of particles, by a virtual call that nobody notices: each loop is compiled for its law,
+//! everything around it once.
+//!
+//! | model | acceleration of particle `i` | features | momentum |
+//! |---|---|---|---|
+//! | [`Node`], Eq. (2) | `NN(the m nearest rᵢⱼ, vᵢⱼ)` | `2dm` | not conserved |
+//! | [`NnSum`], Eq. (3) | `Σⱼ NN(rᵢⱼ, vᵢⱼ)` | `2d` | with `antisymmetric` |
+//! | [`RotInv`], Eq. (4) | `Σⱼ NN(Aᵢ, Aⱼ, vᵢⱼ·rᵢⱼ, r) rᵢⱼ` | 4 | with `antisymmetric` |
+//! | [`GradP`], Eq. (5) | `−Σⱼ m (NN(rᵢⱼ) + Πᵢⱼ) ∇ᵢWᵢⱼ` | `d` | with `antisymmetric` |
+//! | [`EosNn`], Eq. (6) | as `Physics`, with `P = NN(ρ)` | 1 | conserved |
+//! | [`Physics`], Eq. (7) | `−Σⱼ m (Aᵢ + Aⱼ + Πᵢⱼ) ∇ᵢWᵢⱼ`, `A = P/ρ²` | – | conserved |
+//!
+//! **Mixed mode.** How each function is differentiated follows from its dimensions:
+//!
+//! | function | in → out | way |
+//! |---|---|---|
+//! | Tait's `A(ρ; c, γ)` | 3 → 1 | forward, dual numbers ([`Physics`]) |
+//! | `Π` and the kernel | few → 1 | by hand ([`crate::viscosity`], [`crate::kernel`]) |
+//! | pair force by the pair's state | ≤ `2d + 4` → `d` | one [`Slope`] per pair serves every column |
+//! | network by its inputs and weights | many → 1 or `d` | reverse ([`crate::network`]) |
+//! | loss by everything | many → 1 | adjoint, or forward for few parameters ([`crate::sensitivity`]) |
+
+mod medium;
+mod pairwise;
+mod parameter;
+mod room;
+mod scales;
+mod slope;
+mod window;
+
+pub use medium::{Medium, Strength};
+pub use parameter::{Parameter, Parameters};
+pub use room::{Learned, Room};
+pub use scales::Scales;
+pub use slope::{CentralSlope, MatrixSlope, PairCotangent, Slope};
+pub use window::Window;
+
+use crate::error::Result;
+use crate::kernel::{KernelName, Smoothing};
+use crate::packed::{PackedAdjoint, PackedSensitivity};
+use crate::pairs::{Batch, Hood};
+use crate::scalar::Lanes;
+use crate::sensitivity::Coupling;
+use crate::vector::Vector;
+use serde::{Deserialize, Serialize};
+use std::fmt::Debug;
 
 mod physics;
+pub use physics::Physics;
 
-pub use physics::{Parameter, Parameters, Physics};
+/// The models with a network: each line is a file, a type and a `kind` in scenes.
+macro_rules! hierarchy {
+    ($($(#[$doc:meta])* $module:ident::$name:ident = $kind:literal;)*) => {
+        $(mod $module; pub use $module::$name;)*
 
-use crate::kernel::{Kernel, Smoothing};
-use crate::scalar::{Lanes, Scalar};
+        /// The model that a scene learns, with its options.
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "kind", deny_unknown_fields)]
+        pub enum ModelChoice {
+            /// [`Physics`].
+            #[default]
+            #[serde(rename = "physics")]
+            Physics,
+            $($(#[$doc])* #[serde(rename = $kind)] $name($module::Options),)*
+        }
 
-/// What the law between two particles may depend on, for directed pair `i ← j`.
-#[derive(Clone, Copy, Debug)]
-pub struct Pair<T> {
-    /// `|rᵢⱼ|²`.
-    pub r2: T,
-    /// `vᵢⱼ·rᵢⱼ`, negative while the pair approaches.
-    pub approach: T,
-    /// `ρᵢ`.
-    pub rho_i: T,
-    /// `ρⱼ`.
-    pub rho_j: T,
+        impl ModelChoice {
+            /// Every `kind`.
+            pub const KINDS: &'static [&'static str] = &["physics", $($kind),*];
+
+            /// Its `kind` in scenes.
+            pub fn kind(&self) -> &'static str {
+                match self {
+                    Self::Physics => "physics",
+                    $(Self::$name(_) => $kind,)*
+                }
+            }
+
+            /// The model of a medium.
+            ///
+            /// # Errors
+            /// [`crate::Error::Input`] for options that make no network.
+            pub fn build<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
+                Ok(match self {
+                    Self::Physics => Box::new(Physics(medium)),
+                    $(Self::$name(options) => Box::new($name::new(medium, options)?),)*
+                })
+            }
+        }
+    };
 }
 
-impl<T: Scalar> Pair<T> {
-    /// `ρ̄ = (ρᵢ + ρⱼ)/2`.
-    #[inline(always)]
-    pub fn mean_density(&self) -> T {
-        (self.rho_i + self.rho_j) * 0.5
+hierarchy! {
+    /// [`EosNn`].
+    eos_nn::EosNn = "eos-nn";
+    /// [`GradP`].
+    grad_p::GradP = "grad-p";
+    /// [`RotInv`].
+    rot_inv::RotInv = "rot-inv";
+    /// [`NnSum`].
+    nn_sum::NnSum = "nn-sum";
+    /// [`Node`].
+    node::Node = "node";
+}
+
+/// How a particle's stress `A` changes, eight particles at once; by the weights of a network see
+/// [`Constitutive::stress_weights`].
+#[derive(Clone, Copy, Debug)]
+pub struct StressSlope {
+    /// `∂A/∂ρ`.
+    pub by_density: Lanes,
+    /// `∂A/∂(c, α, β, γ, θ)`.
+    pub by_parameter: [Lanes; Parameter::COUNT],
+}
+
+impl StressSlope {
+    /// No dependence.
+    pub const ZERO: Self =
+        Self { by_density: Lanes::ZERO, by_parameter: [Lanes::ZERO; Parameter::COUNT] };
+}
+
+/// What a particle is by itself.
+pub trait Constitutive<const D: usize>: Debug + Send + Sync {
+    /// Mass, kernel and physical parameters.
+    fn medium(&self) -> &Medium<D>;
+
+    /// The same, to change.
+    fn medium_mut(&mut self) -> &mut Medium<D>;
+
+    /// Whether particles bring a stress to their pairs.
+    fn has_stress(&self) -> bool {
+        false
+    }
+
+    /// The kernel at the scene's smoothing length.
+    fn smoothing(&self) -> &Smoothing<KernelName, D> {
+        &self.medium().smoothing
+    }
+
+    /// Mass `m` of every particle.
+    fn mass(&self) -> f64 {
+        self.medium().mass
+    }
+
+    /// The physical parameters in force.
+    fn parameters(&self) -> &Parameters<f64> {
+        &self.medium().parameters
+    }
+
+    /// Puts other physical parameters in force.
+    fn set_parameters(&mut self, parameters: Parameters<f64>) {
+        self.medium_mut().parameters = parameters;
+    }
+
+    /// The network, where there is one.
+    fn network(&self) -> Option<&Learned> {
+        None
+    }
+
+    /// The same, to change.
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        None
+    }
+
+    /// The speed of sound at density `rho`, for the Courant number; zero where the model has none.
+    /// By default that of Tait's fluid, `c ρ^((γ−1)/2)`.
+    fn sound_speed(&self, rho: f64) -> f64 {
+        let [c, _, _, gamma, _] = self.medium().parameters.0;
+        c.abs() * rho.max(0.0).powf(0.5 * (gamma - 1.0))
+    }
+
+    /// What eight particles of density `rho` bring to their pairs, `A`.
+    fn stress(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        let _ = (rho, room);
+        Lanes::ZERO
+    }
+
+    /// How that changes.
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> StressSlope {
+        let _ = (rho, room);
+        StressSlope::ZERO
+    }
+
+    /// `∂A/∂weights` into `room.weights`; nothing where the stress has no network.
+    fn stress_weights(&self, rho: Lanes, room: &mut Room) {
+        let _ = (rho, room);
     }
 }
 
-/// What a particle brings to its pairs, and how that changes: `A(ρ)`, for pressure `P/ρ²`.
-#[derive(Clone, Copy, Debug)]
-pub struct Stress {
-    /// `A`.
-    pub value: f64,
-    /// `∂A/∂ρ`.
-    pub by_density: f64,
-    /// `∂A/∂(c, α, β, γ, θ)`.
-    pub by_parameter: [f64; Parameter::COUNT],
+/// What two particles do to each other.
+pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
+    /// The linearised force.
+    type Slope: Slope<D>;
+
+    /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
+    fn is_antisymmetric(&self) -> bool;
+
+    /// Whether the pair force holds the model's network.
+    fn has_network(&self) -> bool {
+        false
+    }
+
+    /// The acceleration `fᵢⱼ` that eight neighbours each give to particle `i`.
+    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D>;
+
+    /// Its derivative by the pair's state.
+    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> Self::Slope;
+
+    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state; those by the parameters (at fixed stress)
+    /// are added to `room.physical` and `room.weights`.
+    fn pullback(
+        &self,
+        pairs: &Batch<D>,
+        force: Vector<Lanes, D>,
+        room: &mut Room,
+    ) -> PairCotangent<D>;
 }
 
-/// The strength `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient: all that a forward
-/// sensitivity of any number of columns needs to know of a pair.
+/// What a force evaluation's tangent needs beside the particles: one block of eight columns.
 #[derive(Clone, Copy, Debug)]
-pub struct Strength<T> {
-    /// `s`.
-    pub value: T,
-    /// `∂s/∂(r·δr)`, that is `2 ∂s/∂(r²)`.
-    pub by_separation: T,
-    /// `∂s/∂(v·r)`.
-    pub by_approach: T,
-    /// `∂s/∂Aᵢ = ∂s/∂Aⱼ`.
-    pub by_stress: T,
-    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed `A`.
-    pub by_density: T,
-    /// `∂s/∂(c, α, β)` at fixed `A`.
-    pub by_parameter: [T; 3],
+pub struct Columns<'a, const D: usize> {
+    /// Sensitivities per slot.
+    pub sensitivities: &'a [PackedSensitivity<D>],
+    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
+    pub directions: &'a [Lanes; Parameter::COUNT],
+    /// Which derivatives are kept.
+    pub coupling: Coupling,
+    /// `∂A/∂ρ` per slot.
+    pub stress_slopes: &'a [f64],
 }
 
-/// A law of motion that acts between pairs, along the line that joins them.
-pub trait Model<const D: usize>: Clone + Send + Sync + 'static {
-    /// The kernel it smooths with.
-    type Kernel: Kernel;
+/// What one chunk passes back through the force, in the order of its slots.
+#[derive(Debug)]
+pub struct Passed<'a, const D: usize> {
+    /// `∂L/∂r`, added to.
+    pub position: &'a mut [Vector<f64, D>],
+    /// `∂L/∂v`, added to.
+    pub velocity: &'a mut [Vector<f64, D>],
+    /// `(∂L/∂A, ∂L/∂ρ)`, overwritten.
+    pub scalars: &'a mut [(f64, f64)],
+    /// What belongs to the neighbours, eight by eight as in the chunk's lists; filled where
+    /// [`Model::passes_to_neighbours`].
+    pub neighbours: &'a mut Vec<PairShare<D>>,
+}
 
-    /// The kernel at the scene's smoothing length.
-    fn smoothing(&self) -> &Smoothing<Self::Kernel, D>;
+/// The part of a pair's cotangent that belongs to particle `j`.
+#[derive(Clone, Copy, Debug)]
+pub struct PairShare<const D: usize> {
+    /// `∂L/∂rⱼ`.
+    pub position: Vector<Lanes, D>,
+    /// `∂L/∂vⱼ`.
+    pub velocity: Vector<Lanes, D>,
+    /// `∂L/∂Aⱼ`.
+    pub stress: Lanes,
+    /// `∂L/∂ρⱼ`.
+    pub density: Lanes,
+}
 
-    /// Mass `m` of every particle.
-    fn mass(&self) -> f64;
+impl<const D: usize> PairShare<D> {
+    /// Nothing.
+    pub const ZERO: Self = Self {
+        position: Vector([Lanes::ZERO; D]),
+        velocity: Vector([Lanes::ZERO; D]),
+        stress: Lanes::ZERO,
+        density: Lanes::ZERO,
+    };
+}
 
-    /// The physical parameters now in force.
-    fn parameters(&self) -> &Parameters<f64>;
+/// A law of motion over chunks of particles: what the systems run. Every [`PairLaw`] is one.
+pub trait Model<const D: usize>: Constitutive<D> {
+    /// A copy.
+    fn boxed(&self) -> Box<dyn Model<D>>;
 
-    /// Puts other parameters in force.
-    fn set_parameters(&mut self, parameters: Parameters<f64>);
+    /// `aᵢ` of every particle of a chunk.
+    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
 
-    /// What a particle of density `rho` brings to its pairs.
-    fn stress(&self, rho: f64) -> f64;
+    /// `δaᵢ` at fixed weights, for one block of columns; added to `out`.
+    fn tangents(
+        &self,
+        hood: Hood<'_>,
+        columns: Columns<'_, D>,
+        room: &mut Room,
+        out: &mut [Vector<Lanes, D>],
+    );
 
-    /// [`Model::stress`] with its derivatives.
-    fn stress_gradient(&self, rho: f64) -> Stress;
+    /// Whether the force itself (not only the stress) depends on the network.
+    fn has_force_network(&self) -> bool;
 
-    /// The strength `s` of the force between two particles whose stresses sum to `stresses`.
-    fn strength<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> T;
+    /// Whether the stress depends on the network.
+    fn has_stress_network(&self) -> bool {
+        self.has_stress() && self.network().is_some() && !self.has_force_network()
+    }
 
-    /// [`Model::strength`] with its derivatives.
-    fn strength_gradient(&self, pair: &Pair<Lanes>, stresses: Lanes) -> Strength<Lanes>;
+    /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`.
+    fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]);
+
+    /// Whether particles pass derivatives on to their neighbours one way only.
+    fn passes_to_neighbours(&self) -> bool;
+
+    /// From `∂L/∂a` (`forces`, per slot) to the derivatives by the state; those by the parameters are
+    /// added to the room's sums.
+    fn pull_back(
+        &self,
+        hood: Hood<'_>,
+        forces: &[PackedAdjoint],
+        room: &mut Room,
+        into: Passed<'_, D>,
+    );
 }

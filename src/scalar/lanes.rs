@@ -37,6 +37,18 @@ impl Lanes {
         self.0
     }
 
+    /// The number in one lane.
+    #[inline(always)]
+    pub const fn lane(&self, lane: usize) -> f64 {
+        self.0[lane]
+    }
+
+    /// Replaces the number in one lane.
+    #[inline(always)]
+    pub const fn set_lane(&mut self, lane: usize, x: f64) {
+        self.0[lane] = x;
+    }
+
     /// The sum over the lanes, always paired in the same order.
     #[inline(always)]
     pub fn sum(self) -> f64 {

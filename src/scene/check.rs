@@ -2,7 +2,7 @@
 
 use super::{Forcing, Learn, Optimiser, Scene};
 use crate::error::{Error, Result};
-use crate::models::Parameter;
+use crate::models::{ModelChoice, Parameter};
 use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
@@ -120,7 +120,7 @@ impl Scene {
 }
 
 fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
-    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == name);
+    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == **name);
     let unknown = learn.guess.keys().find(|name| !known(name));
     let mut sorted = learn.parameters.clone();
     sorted.sort_unstable();
@@ -135,9 +135,10 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     };
     vec![
         (
-            !learn.parameters.is_empty() && sorted.len() == learn.parameters.len(),
+            sorted.len() == learn.parameters.len()
+                && (learn.model != ModelChoice::Physics || !learn.parameters.is_empty()),
             "learn.parameters",
-            "at least one of c, alpha, beta, gamma, theta, each once",
+            "at least one of c, alpha, beta, gamma, theta where the model has no network, each once",
             format!("{:?}", learn.parameters),
         ),
         (

@@ -10,6 +10,8 @@ pub use read::SHIPPED;
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
+pub use crate::kernel::KernelName;
+use crate::models::{ModelChoice, Parameter, Parameters};
 use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
@@ -73,19 +75,6 @@ pub struct Fluid {
     pub beta: f64,
     /// Exponent `γ` of the equation of state.
     pub gamma: f64,
-}
-
-/// A kernel by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum KernelName {
-    /// [`crate::kernel::CubicSpline`].
-    #[default]
-    CubicSpline,
-    /// [`crate::kernel::WendlandC2`].
-    WendlandC2,
-    /// [`crate::kernel::WendlandC4`].
-    WendlandC4,
 }
 
 /// The initial state: a lattice with its first particle in the corner, shaken.
@@ -155,8 +144,12 @@ pub struct Time {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Learn {
-    /// The parameters to learn: any of `c`, `alpha`, `beta`, `gamma`, `theta`.
-    pub parameters: Vec<crate::models::Parameter>,
+    /// The model that predicts; all of its network's weights are learned.
+    #[serde(default)]
+    pub model: ModelChoice,
+    /// The physical parameters to learn: any of `c`, `alpha`, `beta`, `gamma`, `theta`.
+    #[serde(default)]
+    pub parameters: Vec<Parameter>,
     /// Where the search starts; drawn uniformly from `(0, 1)` for a parameter not named here.
     #[serde(default)]
     pub guess: BTreeMap<String, f64>,
@@ -304,6 +297,11 @@ impl Scene {
         })
     }
 
+    /// The model that the scene learns; that of the truth where it learns nothing.
+    pub fn model(&self) -> ModelChoice {
+        self.learn.as_ref().map(|learn| learn.model.clone()).unwrap_or_default()
+    }
+
     /// Number of particles `N`.
     pub fn particles(&self) -> usize {
         self.fluid.particles_per_side.pow(self.dimension as u32)
@@ -320,12 +318,12 @@ impl Scene {
     }
 
     /// The physical parameters that make the truth.
-    pub fn parameters(&self) -> crate::models::Parameters<f64> {
+    pub fn parameters(&self) -> Parameters<f64> {
         let theta = match self.forcing {
             Forcing::Deterministic { theta, .. } => theta,
             _ => 0.0,
         };
         let Fluid { c, alpha, beta, gamma, .. } = self.fluid;
-        crate::models::Parameters([c, alpha, beta, gamma, theta])
+        Parameters([c, alpha, beta, gamma, theta])
     }
 }

@@ -7,7 +7,6 @@
 
 use crate::error::Result;
 use crate::flow::{Flow, Snapshot, State};
-use crate::models::Parameters;
 use crate::systems::loss::LossSum;
 use serde::{Deserialize, Serialize};
 
@@ -27,8 +26,8 @@ pub enum Storage {
 pub struct AdjointGradient {
     /// The loss, part by part.
     pub loss: LossSum,
-    /// `∂L/∂(c, α, β, γ, θ)`.
-    pub gradient: Parameters<f64>,
+    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights; see [`crate::models::Parameter::index`].
+    pub gradient: Vec<f64>,
     /// Steps run forward in all, repetitions included.
     pub steps_run: u64,
     /// Most bytes held by tape and snapshots.

@@ -1,0 +1,137 @@
+//! A learned equation of state, Eq. (6).
+
+use super::physics::pull_back_fluid;
+use super::scales::Units;
+use super::{
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, StressSlope,
+};
+use crate::error::Result;
+use crate::network::Network;
+use crate::pairs::Batch;
+use crate::scalar::{Lanes, Scalar};
+use crate::vector::Vector;
+use serde::{Deserialize, Serialize};
+
+/// Options of [`EosNn`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Units in each hidden layer.
+    pub height: usize,
+    /// Sizes of inputs and outputs.
+    pub scales: Scales,
+}
+
+impl Default for Options {
+    /// Height 10, the paper's (141 parameters).
+    fn default() -> Self {
+        Self { height: 10, scales: Scales::default() }
+    }
+}
+
+/// Eq. (6): the fluid of [`super::Physics`] with `P(ρ) = S NN((ρ − 1)/ρ_s)` in place of Tait's pressure,
+/// `S = c² ρ_s`; Monaghan's viscosity is kept.
+///
+/// `1 → l → l → 1`. Momentum and pair torques are conserved whatever the network says. Recommended
+/// where the fluid is known but its equation of state is not; one network evaluation per particle.
+#[derive(Clone, Debug)]
+pub struct EosNn<const D: usize> {
+    medium: Medium<D>,
+    network: Learned,
+    units: Units,
+}
+
+impl<const D: usize> EosNn<D> {
+    /// The model of a medium.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a network without units.
+    pub fn new(medium: Medium<D>, options: &Options) -> Result<Self> {
+        let network = Learned::new(Network::new(1, options.height, 1)?);
+        Ok(Self { units: options.scales.units(&medium), medium, network })
+    }
+
+    /// `NN`, with `room` ready for its derivatives.
+    #[inline(always)]
+    fn evaluate(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        room.input[0] = (rho - 1.0) / self.units.compression;
+        self.network.value(room);
+        room.output[0]
+    }
+}
+
+impl<const D: usize> Constitutive<D> for EosNn<D> {
+    fn has_stress(&self) -> bool {
+        true
+    }
+
+    fn medium(&self) -> &Medium<D> {
+        &self.medium
+    }
+
+    fn medium_mut(&mut self) -> &mut Medium<D> {
+        &mut self.medium
+    }
+
+    fn network(&self) -> Option<&Learned> {
+        Some(&self.network)
+    }
+
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        Some(&mut self.network)
+    }
+
+    /// `A = S NN/ρ²`.
+    #[inline(always)]
+    fn stress(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        self.evaluate(rho, room) * self.units.stress / (rho * rho)
+    }
+
+    #[inline(always)]
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> StressSlope {
+        let value = self.evaluate(rho, room);
+        self.network.jacobian(room);
+        let by_density = room.jacobian[0] / self.units.compression - value * 2.0 / rho;
+        let by_density = by_density * self.units.stress / (rho * rho);
+        StressSlope { by_density, ..StressSlope::ZERO }
+    }
+
+    #[inline(always)]
+    fn stress_weights(&self, rho: Lanes, room: &mut Room) {
+        self.evaluate(rho, room);
+        self.network.weight_gradient(0, room);
+        let scale = Lanes::of(self.units.stress) / (rho * rho);
+        for slope in &mut room.weights {
+            *slope = *slope * scale;
+        }
+    }
+}
+
+impl<const D: usize> PairLaw<D> for EosNn<D> {
+    type Slope = CentralSlope<D>;
+
+    #[inline(always)]
+    fn is_antisymmetric(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn force(&self, pairs: &Batch<D>, _: &mut Room) -> Vector<Lanes, D> {
+        self.medium.force(pairs)
+    }
+
+    #[inline(always)]
+    fn slope(&self, pairs: &Batch<D>, _: &mut Room) -> CentralSlope<D> {
+        self.medium.slope(pairs)
+    }
+
+    #[inline(always)]
+    fn pullback(
+        &self,
+        pairs: &Batch<D>,
+        force: Vector<Lanes, D>,
+        room: &mut Room,
+    ) -> PairCotangent<D> {
+        pull_back_fluid(&self.medium, pairs, force, room)
+    }
+}

@@ -1,0 +1,155 @@
+//! A learned pressure gradient, Eq. (5).
+
+use super::scales::Units;
+use super::{
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Slope,
+};
+use crate::error::Result;
+use crate::network::Network;
+use crate::pairs::Batch;
+use crate::scalar::{Lanes, Scalar};
+use crate::vector::Vector;
+use serde::{Deserialize, Serialize};
+
+/// Options of [`GradP`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Units in each hidden layer.
+    pub height: usize,
+    /// Whether the network sees `|rᵢⱼ|` alone, so that forces are opposite.
+    pub antisymmetric: bool,
+    /// Sizes of inputs and outputs.
+    pub scales: Scales,
+}
+
+impl Default for Options {
+    /// Height 5 and the paper's features (56 parameters in 3D).
+    fn default() -> Self {
+        Self { height: 5, antisymmetric: false, scales: Scales::default() }
+    }
+}
+
+/// Eq. (5): `aᵢ = −Σⱼ m (S NN(rᵢⱼ/h) + Πᵢⱼ) ∇ᵢWᵢⱼ`; with `antisymmetric`, `NN(|rᵢⱼ|/h)`.
+///
+/// `d → l → l → 1`. The kernel ends the force at `2h`. As the paper prints it, `NN(rᵢⱼ)` and `NN(rⱼᵢ)`
+/// differ and momentum is not conserved; with `antisymmetric` it is.
+#[derive(Clone, Debug)]
+pub struct GradP<const D: usize> {
+    medium: Medium<D>,
+    network: Learned,
+    units: Units,
+    antisymmetric: bool,
+}
+
+impl<const D: usize> GradP<D> {
+    /// The model of a medium.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a network without units.
+    pub fn new(medium: Medium<D>, options: &Options) -> Result<Self> {
+        let inputs = if options.antisymmetric { 1 } else { D };
+        let network = Learned::new(Network::new(inputs, options.height, 1)?);
+        let antisymmetric = options.antisymmetric;
+        Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric })
+    }
+
+    /// `S NN` in place of `Aᵢ + Aⱼ`.
+    #[inline(always)]
+    fn stresses(&self, pairs: &Batch<D>, room: &mut Room) -> Lanes {
+        if self.antisymmetric {
+            room.input[0] = pairs.pair.r2.sqrt() / self.units.length;
+        } else {
+            for axis in 0..D {
+                room.input[axis] = pairs.separation[axis] / self.units.length;
+            }
+        }
+        self.network.value(room);
+        room.output[0] * self.units.stress
+    }
+
+    /// From derivatives by the network's inputs to those by `rᵢⱼ`.
+    #[inline(always)]
+    fn by_separation(&self, pairs: &Batch<D>, by_input: &[Lanes]) -> Vector<Lanes, D> {
+        if self.antisymmetric {
+            return pairs.direction() * (by_input[0] / self.units.length);
+        }
+        let mut by = Vector::zero();
+        for axis in 0..D {
+            by[axis] = by_input[axis] / self.units.length;
+        }
+        by
+    }
+}
+
+impl<const D: usize> Constitutive<D> for GradP<D> {
+    fn medium(&self) -> &Medium<D> {
+        &self.medium
+    }
+
+    fn medium_mut(&mut self) -> &mut Medium<D> {
+        &mut self.medium
+    }
+
+    fn network(&self) -> Option<&Learned> {
+        Some(&self.network)
+    }
+
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        Some(&mut self.network)
+    }
+
+    fn sound_speed(&self, _: f64) -> f64 {
+        0.0
+    }
+}
+
+impl<const D: usize> PairLaw<D> for GradP<D> {
+    type Slope = CentralSlope<D>;
+
+    #[inline(always)]
+    fn is_antisymmetric(&self) -> bool {
+        self.antisymmetric
+    }
+
+    fn has_network(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+        let stresses = self.stresses(pairs, room);
+        pairs.separation * self.medium.strength(&pairs.pair, stresses)
+    }
+
+    #[inline(always)]
+    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> CentralSlope<D> {
+        let stresses = self.stresses(pairs, room);
+        self.network.jacobian(room);
+        let s = self.medium.strength_gradient(&pairs.pair, stresses);
+        let mut slope = CentralSlope::new(pairs, &s, [Lanes::ZERO; 2]);
+        let by_network = s.by_stress * self.units.stress;
+        slope.by_separation += self.by_separation(pairs, &room.jacobian) * by_network;
+        slope
+    }
+
+    #[inline(always)]
+    fn pullback(
+        &self,
+        pairs: &Batch<D>,
+        force: Vector<Lanes, D>,
+        room: &mut Room,
+    ) -> PairCotangent<D> {
+        let stresses = self.stresses(pairs, room);
+        let s = self.medium.strength_gradient(&pairs.pair, stresses);
+        let along = force.dot(pairs.separation);
+        for (sum, by) in room.physical.iter_mut().zip(&s.by_parameter) {
+            *sum += along * *by;
+        }
+        room.output_cotangent[0] = along * s.by_stress * self.units.stress;
+        self.network.pullback(room);
+        let mut cotangent = CentralSlope::new(pairs, &s, [Lanes::ZERO; 2]).pullback(force);
+        cotangent.separation += self.by_separation(pairs, &room.input_cotangent);
+        cotangent
+    }
+}

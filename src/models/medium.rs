@@ -1,0 +1,83 @@
+//! What every model stands on, and the pair force of a fluid, Eq. (7).
+
+use super::{CentralSlope, Parameters};
+use crate::kernel::{KernelName, Smoothing};
+use crate::pairs::{Batch, Pair};
+use crate::scalar::{Lanes, Scalar};
+use crate::vector::Vector;
+use crate::viscosity::{Viscosity, monaghan, monaghan_gradient};
+
+/// Mass, kernel and physical parameters: the part of a model that is known.
+#[derive(Clone, Debug)]
+pub struct Medium<const D: usize> {
+    /// Mass `m` of every particle.
+    pub mass: f64,
+    /// The kernel at the scene's smoothing length.
+    pub smoothing: Smoothing<KernelName, D>,
+    /// `c, α, β, γ, θ`.
+    pub parameters: Parameters<f64>,
+}
+
+/// The strength `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient.
+#[derive(Clone, Copy, Debug)]
+pub struct Strength<T> {
+    /// `s`.
+    pub value: T,
+    /// `∂s/∂(r·δr)`, that is `2 ∂s/∂(r²)`.
+    pub by_separation: T,
+    /// `∂s/∂(v·r)`.
+    pub by_approach: T,
+    /// `∂s/∂X` of the pair's stress `X = Aᵢ + Aⱼ`.
+    pub by_stress: T,
+    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed stress.
+    pub by_density: T,
+    /// `∂s/∂(c, α, β)` at fixed stress.
+    pub by_parameter: [T; 3],
+}
+
+impl<const D: usize> Medium<D> {
+    #[inline(always)]
+    fn viscosity<T: Scalar>(&self) -> Viscosity<T> {
+        let [c, alpha, beta, ..] = self.parameters.0;
+        Viscosity { c: T::of(c), alpha: T::of(alpha), beta: T::of(beta) }
+    }
+
+    /// `s = −m (X + Πᵢⱼ) G(r)` for a pair whose stresses sum to `X`: the law of Eq. (7) in one line.
+    #[inline(always)]
+    pub fn strength<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> T {
+        let viscous = monaghan(pair, self.smoothing.h, &self.viscosity());
+        (stresses + viscous) * self.smoothing.gradient(pair.r2.sqrt()) * -self.mass
+    }
+
+    /// [`Medium::strength`] with its derivatives, by hand.
+    #[inline(always)]
+    pub fn strength_gradient(&self, pair: &Pair<Lanes>, stresses: Lanes) -> Strength<Lanes> {
+        let by = self.viscosity();
+        let r = pair.r2.sqrt();
+        let pull = self.smoothing.gradient(r) * -self.mass;
+        let viscous = monaghan_gradient(pair, self.smoothing.h, &by);
+        let total = stresses + viscous.value;
+        Strength {
+            value: total * pull,
+            by_separation: total * self.smoothing.curvature(r) * -self.mass
+                + viscous.by_r2 * pull * 2.0,
+            by_approach: viscous.by_approach * pull,
+            by_stress: pull,
+            by_density: viscous.by_density * pull,
+            by_parameter: [viscous.by.c * pull, viscous.by.alpha * pull, viscous.by.beta * pull],
+        }
+    }
+
+    /// The linearised force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    #[inline(always)]
+    pub fn slope(&self, pairs: &Batch<D>) -> CentralSlope<D> {
+        let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
+        CentralSlope::new(pairs, &s, [s.by_stress; 2])
+    }
+
+    /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    #[inline(always)]
+    pub fn force(&self, pairs: &Batch<D>) -> Vector<Lanes, D> {
+        pairs.separation * self.strength(&pairs.pair, pairs.stress_i + pairs.stress_j)
+    }
+}

@@ -1,0 +1,174 @@
+//! A learned pair force, Eq. (3).
+
+use super::scales::Units;
+use super::{
+    Constitutive, Learned, MatrixSlope, Medium, PairCotangent, PairLaw, Room, Scales, Window,
+};
+use crate::error::Result;
+use crate::network::Network;
+use crate::pairs::Batch;
+use crate::scalar::Lanes;
+use crate::vector::Vector;
+use serde::{Deserialize, Serialize};
+
+/// Options of [`NnSum`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Units in each hidden layer.
+    pub height: usize,
+    /// Whether the force is `½ [NN(ij) − NN(ji)]`, so that forces are opposite.
+    pub antisymmetric: bool,
+    /// Whether the force ends smoothly at `2h`, see [`Window`].
+    pub window: bool,
+    /// Sizes of inputs and outputs.
+    pub scales: Scales,
+}
+
+impl Default for Options {
+    /// Height 5 and the paper's features (83 parameters in 3D), with a smooth window.
+    fn default() -> Self {
+        Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
+    }
+}
+
+/// Eq. (3): `aᵢ = Σⱼ F w(r) NN(rᵢⱼ/h, vᵢⱼ/V)`; with `antisymmetric`, `½ [NN(ij) − NN(ji)]`.
+///
+/// `2d → l → l → d`. As the paper prints it, momentum is not conserved; with `antisymmetric` it is,
+/// for twice the network evaluations, while pair torques remain.
+#[derive(Clone, Debug)]
+pub struct NnSum<const D: usize> {
+    medium: Medium<D>,
+    network: Learned,
+    units: Units,
+    antisymmetric: bool,
+    window: Window,
+}
+
+impl<const D: usize> NnSum<D> {
+    /// The model of a medium.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a network without units.
+    pub fn new(medium: Medium<D>, options: &Options) -> Result<Self> {
+        let network = Learned::new(Network::new(2 * D, options.height, D)?);
+        let window = Window::new(medium.smoothing.h, options.window);
+        let antisymmetric = options.antisymmetric;
+        Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric, window })
+    }
+
+    /// `NN(ij)`, or `NN(ji)` for `sign = −1`, into `room`.
+    #[inline(always)]
+    fn evaluate(&self, pairs: &Batch<D>, sign: f64, room: &mut Room) {
+        for axis in 0..D {
+            room.input[axis] = pairs.separation[axis] * (sign / self.units.length);
+            room.input[D + axis] = pairs.velocity[axis] * (sign / self.units.velocity);
+        }
+        self.network.value(room);
+    }
+
+    /// The ends of a pair that are evaluated, with the factor on each.
+    #[inline(always)]
+    fn ends(&self) -> &'static [f64] {
+        if self.antisymmetric { &[0.5, -0.5] } else { &[1.0] }
+    }
+}
+
+impl<const D: usize> Constitutive<D> for NnSum<D> {
+    fn medium(&self) -> &Medium<D> {
+        &self.medium
+    }
+
+    fn medium_mut(&mut self) -> &mut Medium<D> {
+        &mut self.medium
+    }
+
+    fn network(&self) -> Option<&Learned> {
+        Some(&self.network)
+    }
+
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        Some(&mut self.network)
+    }
+
+    fn sound_speed(&self, _: f64) -> f64 {
+        0.0
+    }
+}
+
+impl<const D: usize> PairLaw<D> for NnSum<D> {
+    type Slope = MatrixSlope<D>;
+
+    #[inline(always)]
+    fn is_antisymmetric(&self) -> bool {
+        self.antisymmetric
+    }
+
+    fn has_network(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+        let (window, _) = self.window.at(pairs.pair.r2);
+        let mut force = Vector::zero();
+        for &factor in self.ends() {
+            self.evaluate(pairs, factor.signum(), room);
+            for axis in 0..D {
+                force[axis] += room.output[axis] * (factor * self.units.force);
+            }
+        }
+        force * window
+    }
+
+    #[inline(always)]
+    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> MatrixSlope<D> {
+        let (window, by_r2) = self.window.at(pairs.pair.r2);
+        let mut slope = MatrixSlope::ZERO;
+        for &factor in self.ends() {
+            self.evaluate(pairs, factor.signum(), room);
+            self.network.jacobian(room);
+            let scale = factor * self.units.force;
+            // The factor's sign comes back from the derivative of the inputs.
+            let inner = window * (scale * factor.signum());
+            for a in 0..D {
+                let row = &room.jacobian[2 * D * a..2 * D * (a + 1)];
+                slope.by_separation[a] += pairs.separation * (room.output[a] * by_r2 * scale);
+                for b in 0..D {
+                    slope.by_separation[a][b] += row[b] * inner / self.units.length;
+                    slope.by_velocity[a][b] += row[D + b] * inner / self.units.velocity;
+                }
+            }
+        }
+        slope
+    }
+
+    #[inline(always)]
+    fn pullback(
+        &self,
+        pairs: &Batch<D>,
+        force: Vector<Lanes, D>,
+        room: &mut Room,
+    ) -> PairCotangent<D> {
+        let (window, by_r2) = self.window.at(pairs.pair.r2);
+        let mut cotangent = PairCotangent::ZERO;
+        for &factor in self.ends() {
+            self.evaluate(pairs, factor.signum(), room);
+            let scale = factor * self.units.force;
+            let mut along = Lanes::ZERO;
+            for axis in 0..D {
+                along += room.output[axis] * force[axis];
+                room.output_cotangent[axis] = force[axis] * window * scale;
+            }
+            self.network.pullback(room);
+            cotangent.separation += pairs.separation * (along * by_r2 * scale);
+            for axis in 0..D {
+                let (by_r, by_v) = (room.input_cotangent[axis], room.input_cotangent[D + axis]);
+                let sign = factor.signum();
+                cotangent.separation[axis] += by_r * (sign / self.units.length);
+                cotangent.velocity[axis] += by_v * (sign / self.units.velocity);
+            }
+        }
+        cotangent
+    }
+}

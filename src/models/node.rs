@@ -1,0 +1,390 @@
+//! A neural ODE, Eq. (2): one network of a particle's whole neighbourhood.
+
+use super::scales::Units;
+use super::{
+    Columns, Constitutive, Learned, MatrixSlope, Medium, Model, PairShare, Passed, Room, Scales,
+    Slope, Window,
+};
+use crate::error::{Error, Result};
+use crate::network::Network;
+use crate::packed::{PackedAdjoint, PackedSensitivity};
+use crate::pairs::Hood;
+use crate::scalar::{Lanes, WIDTH};
+use crate::sensitivity::Coupling;
+use crate::vector::Vector;
+use pulp::{Arch, NullaryFnOnce};
+use serde::{Deserialize, Serialize};
+
+/// Options of [`Node`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Units in each hidden layer.
+    pub height: usize,
+    /// How many neighbours the network sees, `m`.
+    pub nearest: usize,
+    /// Whether a neighbour's features fade towards `2h`, see [`Window`].
+    pub window: bool,
+    /// Sizes of inputs and outputs.
+    pub scales: Scales,
+}
+
+impl Default for Options {
+    /// Height 5 and 20 neighbours, the paper's (653 parameters in 3D), with a smooth window.
+    fn default() -> Self {
+        Self { height: 5, nearest: 20, window: true, scales: Scales::default() }
+    }
+}
+
+/// Eq. (2): `aᵢ = F NN(w rᵢⱼ/h, w vᵢⱼ/V for the m nearest j within 2h, by distance)`, missing ones zero.
+///
+/// `2dm → l → l → d`. Conserves nothing, and turns nothing. Continuous where a neighbour enters the
+/// support; where two neighbours change ranks it jumps, as any network of an ordered list does, and the
+/// gradient is that of the ranks as they are.
+#[derive(Clone, Debug)]
+pub struct Node<const D: usize> {
+    medium: Medium<D>,
+    network: Learned,
+    units: Units,
+    nearest: usize,
+    window: Window,
+}
+
+/// No neighbour in a list of the nearest.
+const MISSING: u32 = u32::MAX;
+
+/// One neighbour of one particle: features and what they depend on.
+#[derive(Clone, Copy, Debug)]
+struct Feature<const D: usize> {
+    separation: Vector<f64, D>,
+    velocity: Vector<f64, D>,
+    /// `w` and `2 ∂w/∂(r²)`.
+    window: (f64, f64),
+}
+
+impl<const D: usize> Node<D> {
+    /// The model of a medium.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a network without units or neighbours, or with more than 1000.
+    pub fn new(medium: Medium<D>, options: &Options) -> Result<Self> {
+        let nearest = options.nearest;
+        if nearest > 1000 {
+            let remedy = "take the neighbours within 2h, some 20 to 60";
+            return Err(Error::input("nearest", "at most 1000 neighbours", nearest, remedy));
+        }
+        let network = Learned::new(Network::new(2 * D * nearest, options.height, D)?);
+        let window = Window::new(medium.smoothing.h, options.window);
+        Ok(Self { units: options.scales.units(&medium), medium, network, nearest, window })
+    }
+
+    /// The features of the neighbour at `place` of the chunk's lists for the chunk's `k`-th particle.
+    #[inline(always)]
+    fn feature(&self, hood: Hood<'_>, k: usize, place: u32) -> Feature<D> {
+        let here = &hood.packed[hood.chunk.first + k];
+        let there = &hood.packed[hood.chunk.slot(place as usize)];
+        let mut separation = Vector::<f64, D>::zero();
+        let mut velocity = Vector::<f64, D>::zero();
+        for axis in 0..D {
+            separation[axis] = here.position[axis] - there.position[axis];
+            velocity[axis] = here.velocity[axis] - there.velocity[axis];
+        }
+        let separation = hood.space.minimum_image(separation);
+        Feature { separation, velocity, window: self.window.at(separation.norm_squared()) }
+    }
+
+    /// Finds the nearest of particle `k`, in order, into row `lane` of `room.nearest`.
+    #[inline(always)]
+    fn find_nearest(&self, hood: Hood<'_>, (k, lane): (usize, usize), room: &mut Room) {
+        let support2 = self.medium.smoothing.support() * self.medium.smoothing.support();
+        let row = &mut room.nearest[lane * self.nearest..(lane + 1) * self.nearest];
+        row.fill(MISSING);
+        if k >= hood.chunk.len() {
+            return;
+        }
+        room.candidates.clear();
+        let first = (hood.chunk.first_batch(k) * WIDTH) as u32;
+        let count = hood.chunk.neighbours(k).as_flattened().len() as u32;
+        for place in first..first + count {
+            let r2 = self.feature(hood, k, place).separation.norm_squared();
+            if r2 < support2 {
+                room.candidates.push((r2, place));
+            }
+        }
+        // Equal distances keep the order of the list.
+        room.candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for (place, &(_, candidate)) in row.iter_mut().zip(&room.candidates) {
+            *place = candidate;
+        }
+    }
+
+    /// Evaluates the network for the chunk's particles `first .. first + 8`.
+    #[inline(always)]
+    fn evaluate(&self, hood: Hood<'_>, first: usize, room: &mut Room) {
+        room.nearest.resize(WIDTH * self.nearest, MISSING);
+        for lane in 0..WIDTH {
+            self.find_nearest(hood, (first + lane, lane), room);
+            for rank in 0..self.nearest {
+                let place = room.nearest[lane * self.nearest + rank];
+                let mut inputs = [[0.0; D]; 2];
+                if place != MISSING {
+                    let feature = self.feature(hood, first + lane, place);
+                    for axis in 0..D {
+                        let w = feature.window.0;
+                        inputs[0][axis] = feature.separation[axis] * w / self.units.length;
+                        inputs[1][axis] = feature.velocity[axis] * w / self.units.velocity;
+                    }
+                }
+                let row = &mut room.input[2 * D * rank..2 * D * (rank + 1)];
+                for (input, x) in row.iter_mut().zip(inputs.as_flattened()) {
+                    input.set_lane(lane, *x);
+                }
+            }
+        }
+        self.network.value(room);
+    }
+
+    /// From derivatives by a neighbour's `2d` inputs, those by `rᵢⱼ` and `vᵢⱼ`.
+    #[inline(always)]
+    fn through(&self, feature: &Feature<D>, by: [Vector<f64, D>; 2]) -> [Vector<f64, D>; 2] {
+        let (w, by_r2) = feature.window;
+        let by_r = by[0] * (1.0 / self.units.length);
+        let by_v = by[1] * (1.0 / self.units.velocity);
+        let through_window = by_r.dot(feature.separation) + by_v.dot(feature.velocity);
+        [by_r * w + feature.separation * (through_window * by_r2), by_v * w]
+    }
+
+    /// Two vectors of one lane, from the inputs of rank `rank` on.
+    #[inline(always)]
+    fn pick(&self, from: &[Lanes], rank: usize, lane: usize) -> [Vector<f64, D>; 2] {
+        let mut picked = [Vector::zero(); 2];
+        for axis in 0..D {
+            picked[0][axis] = from[2 * D * rank + axis].lane(lane);
+            picked[1][axis] = from[2 * D * rank + D + axis].lane(lane);
+        }
+        picked
+    }
+
+    /// The slope of particle `k` by its neighbour of a rank, in lane 0, after `network.jacobian`.
+    #[inline(always)]
+    fn slope(&self, feature: &Feature<D>, (rank, lane): (usize, usize), room: &Room) -> MatrixSlope<D> {
+        let inputs = 2 * D * self.nearest;
+        let mut slope = MatrixSlope::ZERO;
+        for a in 0..D {
+            let row = &room.jacobian[a * inputs..(a + 1) * inputs];
+            let [by_r, by_v] = self.through(feature, self.pick(row, rank, lane));
+            for b in 0..D {
+                slope.by_separation[a][b].set_lane(0, by_r[b] * self.units.force);
+                slope.by_velocity[a][b].set_lane(0, by_v[b] * self.units.force);
+            }
+        }
+        slope
+    }
+}
+
+impl<const D: usize> Constitutive<D> for Node<D> {
+    fn medium(&self) -> &Medium<D> {
+        &self.medium
+    }
+
+    fn medium_mut(&mut self) -> &mut Medium<D> {
+        &mut self.medium
+    }
+
+    fn network(&self) -> Option<&Learned> {
+        Some(&self.network)
+    }
+
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        Some(&mut self.network)
+    }
+
+    fn sound_speed(&self, _: f64) -> f64 {
+        0.0
+    }
+}
+
+impl<const D: usize> Model<D> for Node<D> {
+    fn boxed(&self) -> Box<dyn Model<D>> {
+        Box::new(self.clone())
+    }
+
+    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
+        Arch::new().dispatch(ForcePass { model: self, hood, room, out });
+    }
+
+    fn tangents(
+        &self,
+        hood: Hood<'_>,
+        columns: Columns<'_, D>,
+        room: &mut Room,
+        out: &mut [Vector<Lanes, D>],
+    ) {
+        Arch::new().dispatch(TangentPass { model: self, hood, columns, room, out });
+    }
+
+    fn has_force_network(&self) -> bool {
+        true
+    }
+
+    fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]) {
+        Arch::new().dispatch(WeightPass { model: self, hood, room, out });
+    }
+
+    fn passes_to_neighbours(&self) -> bool {
+        true
+    }
+
+    fn pull_back(
+        &self,
+        hood: Hood<'_>,
+        forces: &[PackedAdjoint],
+        room: &mut Room,
+        into: Passed<'_, D>,
+    ) {
+        Arch::new().dispatch(PullPass { model: self, hood, forces, room, into });
+    }
+}
+
+struct ForcePass<'a, const D: usize> {
+    model: &'a Node<D>,
+    hood: Hood<'a>,
+    room: &'a mut Room,
+    out: &'a mut [Vector<f64, D>],
+}
+
+impl<const D: usize> NullaryFnOnce for ForcePass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { model, hood, room, out } = self;
+        for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
+            model.evaluate(hood, group * WIDTH, room);
+            for (lane, acceleration) in accelerations.iter_mut().enumerate() {
+                for axis in 0..D {
+                    acceleration[axis] = room.output[axis].lane(lane) * model.units.force;
+                }
+            }
+        }
+    }
+}
+
+struct TangentPass<'a, const D: usize> {
+    model: &'a Node<D>,
+    hood: Hood<'a>,
+    columns: Columns<'a, D>,
+    room: &'a mut Room,
+    out: &'a mut [Vector<Lanes, D>],
+}
+
+impl<const D: usize> NullaryFnOnce for TangentPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { model, hood, columns, room, out } = self;
+        for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
+            model.evaluate(hood, group * WIDTH, room);
+            model.network.jacobian(room);
+            for (lane, acceleration) in accelerations.iter_mut().enumerate() {
+                let k = group * WIDTH + lane;
+                let own = &columns.sensitivities[hood.chunk.first + k];
+                for rank in 0..model.nearest {
+                    let place = room.nearest[lane * model.nearest + rank];
+                    if place == MISSING {
+                        break;
+                    }
+                    let feature = model.feature(hood, k, place);
+                    let slope = model.slope(&feature, (rank, lane), room);
+                    let other = match columns.coupling {
+                        Coupling::Full => columns.sensitivities[hood.chunk.slot(place as usize)],
+                        Coupling::Local => PackedSensitivity::ZERO,
+                    };
+                    *acceleration += slope.tangent(0, own, &other, columns.directions);
+                }
+            }
+        }
+    }
+}
+
+struct WeightPass<'a, const D: usize> {
+    model: &'a Node<D>,
+    hood: Hood<'a>,
+    room: &'a mut Room,
+    out: &'a mut [f64],
+}
+
+impl<const D: usize> NullaryFnOnce for WeightPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { model, hood, room, out } = self;
+        let count = model.network.weights.len();
+        for (group, shares) in out.chunks_mut(WIDTH * D * count).enumerate() {
+            model.evaluate(hood, group * WIDTH, room);
+            for axis in 0..D {
+                model.network.weight_gradient(axis, room);
+                for (lane, shares) in shares.chunks_exact_mut(D * count).enumerate() {
+                    let shares = &mut shares[axis * count..(axis + 1) * count];
+                    for (share, slope) in shares.iter_mut().zip(&room.weights) {
+                        *share = slope.lane(lane) * model.units.force;
+                    }
+                }
+            }
+        }
+        room.clear();
+    }
+}
+
+struct PullPass<'a, const D: usize> {
+    model: &'a Node<D>,
+    hood: Hood<'a>,
+    forces: &'a [PackedAdjoint],
+    room: &'a mut Room,
+    into: Passed<'a, D>,
+}
+
+impl<const D: usize> NullaryFnOnce for PullPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { model, hood, forces, room, into } = self;
+        into.neighbours.fill(PairShare::ZERO);
+        for first in (0..hood.chunk.len()).step_by(WIDTH) {
+            model.evaluate(hood, first, room);
+            let lanes = (hood.chunk.len() - first).min(WIDTH);
+            for axis in 0..D {
+                let mut force = Lanes::ZERO;
+                for lane in 0..lanes {
+                    let slot = hood.chunk.first + first + lane;
+                    force.set_lane(lane, forces[slot].force[axis] * model.units.force);
+                }
+                room.output_cotangent[axis] = force;
+            }
+            model.network.pullback(room);
+            for lane in 0..lanes {
+                let k = first + lane;
+                into.scalars[k] = (0.0, 0.0);
+                for rank in 0..model.nearest {
+                    let place = room.nearest[lane * model.nearest + rank];
+                    if place == MISSING {
+                        break;
+                    }
+                    let feature = model.feature(hood, k, place);
+                    let by = model.pick(&room.input_cotangent, rank, lane);
+                    let [by_r, by_v] = model.through(&feature, by);
+                    into.position[k] += by_r;
+                    into.velocity[k] += by_v;
+                    let share = &mut into.neighbours[place as usize / WIDTH];
+                    for axis in 0..D {
+                        share.position[axis].set_lane(place as usize % WIDTH, -by_r[axis]);
+                        share.velocity[axis].set_lane(place as usize % WIDTH, -by_v[axis]);
+                    }
+                }
+            }
+        }
+    }
+}

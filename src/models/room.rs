@@ -1,0 +1,175 @@
+//! A network inside a model, and the room in which one thread evaluates it.
+
+use super::Parameter;
+use crate::network::{Cotangents, Network, Workspace};
+use crate::scalar::Lanes;
+use pulp::{Arch, NullaryFnOnce};
+
+/// A network with its numbers.
+#[derive(Clone, Debug)]
+pub struct Learned {
+    /// Its shape.
+    pub shape: Network,
+    /// Its parameters, [`Network::parameter_count`] of them.
+    pub weights: Vec<f64>,
+}
+
+/// What one thread needs to evaluate and differentiate a model: made once, used for every chunk.
+#[derive(Clone, Debug, Default)]
+pub struct Room {
+    arch: Arch,
+    workspace: Option<Workspace>,
+    /// What goes into the network, `[inputs]`.
+    pub input: Vec<Lanes>,
+    /// `∂L/∂` of that.
+    pub input_cotangent: Vec<Lanes>,
+    /// What comes out, `[outputs]`.
+    pub output: Vec<Lanes>,
+    /// `∂L/∂` of that.
+    pub output_cotangent: Vec<Lanes>,
+    /// `∂out/∂in`, `[outputs × inputs]`.
+    pub jacobian: Vec<Lanes>,
+    /// `∂L/∂(c, α, β, γ, θ)`, added up lane by lane.
+    pub physical: [Lanes; Parameter::COUNT],
+    /// `∂L/∂weights`, added up lane by lane.
+    pub weights: Vec<Lanes>,
+    /// Particles in order of distance, see [`super::Node`].
+    pub candidates: Vec<(f64, u32)>,
+    /// The nearest of each of eight particles: places in the chunk's lists.
+    pub nearest: Vec<u32>,
+}
+
+impl Room {
+    /// Room for a model with this network, or with none.
+    pub fn new(network: Option<&Learned>) -> Self {
+        let Some(Learned { shape, weights }) = network else { return Self::default() };
+        let zeros = |count: usize| vec![Lanes::ZERO; count];
+        Self {
+            workspace: Some(Workspace::new(shape)),
+            input: zeros(shape.inputs()),
+            input_cotangent: zeros(shape.inputs()),
+            output: zeros(shape.outputs()),
+            output_cotangent: zeros(shape.outputs()),
+            jacobian: zeros(shape.inputs() * shape.outputs()),
+            weights: zeros(weights.len()),
+            ..Self::default()
+        }
+    }
+
+    /// Forgets the sums over parameters.
+    pub fn clear(&mut self) {
+        self.physical = [Lanes::ZERO; Parameter::COUNT];
+        self.weights.fill(Lanes::ZERO);
+    }
+
+    /// The sums over all parameters, the physical ones first.
+    pub fn sums(&self) -> Vec<f64> {
+        self.physical.iter().chain(&self.weights).map(|lanes| lanes.sum()).collect()
+    }
+}
+
+impl Learned {
+    /// A network of a given shape, with all parameters at zero.
+    pub fn new(shape: Network) -> Self {
+        Self { shape, weights: vec![0.0; shape.parameter_count()] }
+    }
+
+    /// `room.output` for `room.input`.
+    pub fn value(&self, room: &mut Room) {
+        let Some(workspace) = &mut room.workspace else { return };
+        let (input, output) = (&room.input, &mut room.output);
+        room.arch.dispatch(Value { network: self, workspace, input, output });
+    }
+
+    /// `room.jacobian` of the last [`Learned::value`].
+    pub fn jacobian(&self, room: &mut Room) {
+        let Some(workspace) = &mut room.workspace else { return };
+        room.arch.dispatch(Jacobian { network: self, workspace, into: &mut room.jacobian });
+    }
+
+    /// From `room.output_cotangent`, `room.input_cotangent` of the last [`Learned::value`], and what
+    /// the weights' sums gain.
+    pub fn pullback(&self, room: &mut Room) {
+        let Some(workspace) = &mut room.workspace else { return };
+        let into = Cotangents { input: &mut room.input_cotangent, parameters: &mut room.weights };
+        let output = &room.output_cotangent;
+        room.arch.dispatch(Pullback { network: self, workspace, output, into });
+    }
+
+    /// `∂out/∂weights` of one output of the last [`Learned::value`], in place of the weights' sums.
+    pub fn weight_gradient(&self, output: usize, room: &mut Room) {
+        let Some(workspace) = &mut room.workspace else { return };
+        let into = &mut room.weights;
+        room.arch.dispatch(WeightGradient { network: self, workspace, output, into });
+    }
+}
+
+// Each of the four is compiled once for every instruction set, not once for every model and dimension
+// that calls it: a call costs little beside a network, and the compiler is spared most of its work.
+
+struct Value<'a> {
+    network: &'a Learned,
+    workspace: &'a mut Workspace,
+    input: &'a [Lanes],
+    output: &'a mut [Lanes],
+}
+
+impl NullaryFnOnce for Value<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Learned { shape, weights } = self.network;
+        self.output.copy_from_slice(shape.value(weights, self.input, self.workspace));
+    }
+}
+
+struct Jacobian<'a> {
+    network: &'a Learned,
+    workspace: &'a mut Workspace,
+    into: &'a mut [Lanes],
+}
+
+impl NullaryFnOnce for Jacobian<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Learned { shape, weights } = self.network;
+        shape.jacobian(weights, self.workspace, self.into);
+    }
+}
+
+struct Pullback<'a> {
+    network: &'a Learned,
+    workspace: &'a mut Workspace,
+    output: &'a [Lanes],
+    into: Cotangents<'a>,
+}
+
+impl NullaryFnOnce for Pullback<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Learned { shape, weights } = self.network;
+        shape.pullback(weights, self.output, self.workspace, self.into);
+    }
+}
+
+struct WeightGradient<'a> {
+    network: &'a Learned,
+    workspace: &'a mut Workspace,
+    output: usize,
+    into: &'a mut [Lanes],
+}
+
+impl NullaryFnOnce for WeightGradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Learned { shape, weights } = self.network;
+        shape.parameter_gradient(weights, self.output, self.workspace, self.into);
+    }
+}

@@ -1,0 +1,194 @@
+//! A learned strength of central forces, Eq. (4): rotations change nothing.
+
+use super::physics::{tait_stress, tait_stress_slope};
+use super::scales::Units;
+use super::{
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, StressSlope,
+    Window,
+};
+use crate::error::Result;
+use crate::network::Network;
+use crate::pairs::Batch;
+use crate::scalar::{Lanes, Scalar};
+use crate::vector::Vector;
+use serde::{Deserialize, Serialize};
+
+/// Options of [`RotInv`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Units in each hidden layer.
+    pub height: usize,
+    /// Whether the network sees the two stresses symmetrically, so that forces are opposite.
+    pub antisymmetric: bool,
+    /// Whether the force ends smoothly at `2h`, see [`Window`].
+    pub window: bool,
+    /// Sizes of inputs and outputs.
+    pub scales: Scales,
+}
+
+impl Default for Options {
+    /// Height 5 and the paper's features (61 parameters), with a smooth window.
+    fn default() -> Self {
+        Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
+    }
+}
+
+/// Eq. (4): `aᵢ = Σⱼ (F/h) w(r) NN(Aᵢ/S, Aⱼ/S, vᵢⱼ·rᵢⱼ/(h V), r/h) rᵢⱼ`, `A = P/ρ²` of Tait's fluid; with
+/// `antisymmetric`, `NN((Aᵢ + Aⱼ)/2S, (Aᵢ − Aⱼ)²/S², …)`.
+///
+/// `4 → l → l → 1`. Central, so pair torques vanish where forces are opposite; as the paper prints it,
+/// they are not, and momentum is not conserved; with `antisymmetric` it is.
+#[derive(Clone, Debug)]
+pub struct RotInv<const D: usize> {
+    medium: Medium<D>,
+    network: Learned,
+    units: Units,
+    antisymmetric: bool,
+    window: Window,
+}
+
+impl<const D: usize> RotInv<D> {
+    /// The model of a medium.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a network without units.
+    pub fn new(medium: Medium<D>, options: &Options) -> Result<Self> {
+        let network = Learned::new(Network::new(4, options.height, 1)?);
+        let window = Window::new(medium.smoothing.h, options.window);
+        let antisymmetric = options.antisymmetric;
+        Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric, window })
+    }
+
+    /// The network's output.
+    #[inline(always)]
+    fn evaluate(&self, pairs: &Batch<D>, room: &mut Room) -> Lanes {
+        let u = &self.units;
+        let (a, b) = (pairs.stress_i / u.stress, pairs.stress_j / u.stress);
+        let stresses = if self.antisymmetric { [(a + b) * 0.5, (a - b) * (a - b)] } else { [a, b] };
+        room.input[..2].copy_from_slice(&stresses);
+        room.input[2] = pairs.pair.approach / (u.length * u.velocity);
+        room.input[3] = pairs.pair.r2.sqrt() / u.length;
+        self.network.value(room);
+        room.output[0]
+    }
+
+    /// `(s, slope)` from the derivative of `s` by the network's inputs, `by_input`, and through the
+    /// window, `by_window`.
+    #[inline(always)]
+    fn gather(
+        &self,
+        pairs: &Batch<D>,
+        value: Lanes,
+        by_window: Lanes,
+        by_input: &[Lanes],
+    ) -> CentralSlope<D> {
+        let u = &self.units;
+        let by_approach = by_input[2] / (u.length * u.velocity);
+        let (mut by_i, mut by_j) = (by_input[0] / u.stress, by_input[1] / u.stress);
+        if self.antisymmetric {
+            let mean = by_i * 0.5;
+            let difference = by_j * (pairs.stress_i - pairs.stress_j) * (2.0 / u.stress);
+            (by_i, by_j) = (mean + difference, mean - difference);
+        }
+        let mut by_separation = pairs.separation * by_window + pairs.velocity * by_approach;
+        by_separation += pairs.direction() * (by_input[3] / u.length);
+        CentralSlope {
+            separation: pairs.separation,
+            value,
+            by_separation,
+            by_velocity: pairs.separation * by_approach,
+            by_stress: [by_i, by_j],
+            by_density: Lanes::ZERO,
+            by_parameter: [Lanes::ZERO; 3],
+        }
+    }
+}
+
+impl<const D: usize> Constitutive<D> for RotInv<D> {
+    fn has_stress(&self) -> bool {
+        true
+    }
+
+    fn medium(&self) -> &Medium<D> {
+        &self.medium
+    }
+
+    fn medium_mut(&mut self) -> &mut Medium<D> {
+        &mut self.medium
+    }
+
+    fn network(&self) -> Option<&Learned> {
+        Some(&self.network)
+    }
+
+    fn network_mut(&mut self) -> Option<&mut Learned> {
+        Some(&mut self.network)
+    }
+
+    #[inline(always)]
+    fn stress(&self, rho: Lanes, _: &mut Room) -> Lanes {
+        tait_stress(&self.medium, rho)
+    }
+
+    #[inline(always)]
+    fn stress_slope(&self, rho: Lanes, _: &mut Room) -> StressSlope {
+        tait_stress_slope(&self.medium, rho)
+    }
+}
+
+impl<const D: usize> PairLaw<D> for RotInv<D> {
+    type Slope = CentralSlope<D>;
+
+    #[inline(always)]
+    fn is_antisymmetric(&self) -> bool {
+        self.antisymmetric
+    }
+
+    fn has_network(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+        let (window, _) = self.window.at(pairs.pair.r2);
+        let scale = self.units.force / self.units.length;
+        pairs.separation * (self.evaluate(pairs, room) * window * scale)
+    }
+
+    #[inline(always)]
+    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> CentralSlope<D> {
+        let (window, by_r2) = self.window.at(pairs.pair.r2);
+        let scale = self.units.force / self.units.length;
+        let value = self.evaluate(pairs, room) * scale;
+        self.network.jacobian(room);
+        let factor = window * scale;
+        for slope in &mut room.jacobian {
+            *slope = *slope * factor;
+        }
+        self.gather(pairs, value * window, value * by_r2, &room.jacobian)
+    }
+
+    #[inline(always)]
+    fn pullback(
+        &self,
+        pairs: &Batch<D>,
+        force: Vector<Lanes, D>,
+        room: &mut Room,
+    ) -> PairCotangent<D> {
+        let (window, by_r2) = self.window.at(pairs.pair.r2);
+        let scale = self.units.force / self.units.length;
+        let value = self.evaluate(pairs, room) * scale;
+        let along = force.dot(pairs.separation);
+        room.output_cotangent[0] = along * window * scale;
+        self.network.pullback(room);
+        // The derivatives by the inputs carry `along` already.
+        let by = self.gather(pairs, value * window, value * by_r2 * along, &room.input_cotangent);
+        PairCotangent {
+            separation: force * by.value + by.by_separation,
+            velocity: by.by_velocity,
+            stress: by.by_stress,
+            density: [Lanes::ZERO; 2],
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! The hierarchy of models: every gradient agrees with every other, and what is conserved is.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
+
+mod common;
+
+use common::{in_2d_and_3d, largest};
+use whirls::flow::{Differentiation, Flow};
+use whirls::learn::Learner;
+use whirls::models::ModelChoice;
+use whirls::scene::Scene;
+use whirls::sensitivity::{Coupling, Gradient, Storage};
+use whirls::systems::particles::AccelerationSensitivity;
+use whirls::truth::Truth;
+
+in_2d_and_3d!(
+    forward_adjoint_and_differences_agree_for_every_model_loss_and_step,
+    local_coupling_is_exact_at_the_first_force_of_every_model,
+    checkpoints_give_the_bits_of_full_storage_for_every_model,
+);
+
+/// Every model, in both of its forms where it has two, with the momentum it promises to keep.
+const MODELS: [(&str, bool); 11] = [
+    ("{kind='physics'}", true),
+    ("{kind='eos-nn',height=4}", true),
+    ("{kind='grad-p',height=3}", false),
+    ("{kind='grad-p',height=3,antisymmetric=true}", true),
+    ("{kind='rot-inv',height=3}", false),
+    ("{kind='rot-inv',height=3,antisymmetric=true}", true),
+    ("{kind='nn-sum',height=3}", false),
+    ("{kind='nn-sum',height=3,antisymmetric=true}", true),
+    ("{kind='nn-sum',height=3,window=false}", false),
+    ("{kind='node',height=3,nearest=9}", false),
+    ("{kind='node',height=3,nearest=30,window=false}", false),
+];
+
+const LOSSES: [(&str, &str); 4] = [
+    ("trajectory", "{trajectory=1.0,field=0.0,kl=0.0}"),
+    ("field", "{trajectory=0.0,field=1.0,kl=0.0}"),
+    ("kl", "{trajectory=0.0,field=0.0,kl=1.0}"),
+    ("field+kl", "{trajectory=0.0,field=2.0,kl=0.5}"),
+];
+
+const FRAMES: usize = 3;
+
+/// A small rough flow: every term of every force at work.
+fn scene<const D: usize>(model: &str, step: &str, loss: &str) -> Scene {
+    let (name, side, h) = if D == 2 { ("inverse-2d", 12, 0.533) } else { ("inverse-3d", 7, 0.766) };
+    let physical = if model.contains("physics") {
+        "['c','alpha','beta','gamma','theta']"
+    } else {
+        // Beside its weights a model may learn what is known of it.
+        "['c','theta','alpha']"
+    };
+    let overrides = [
+        format!("fluid.particles_per_side={side}"),
+        format!("fluid.smoothing_length={h}"),
+        format!("learn.model={model}"),
+        format!("learn.parameters={physical}"),
+        "learn.guess={c=8.0,alpha=0.7,beta=2.6,gamma=5.2,theta=0.45}".to_owned(),
+        format!("learn.loss={loss}"),
+        format!("learn.frames={FRAMES}"),
+        "learn.after=4".to_owned(),
+        "learn.windows=[]".to_owned(),
+        "learn.optimiser={kind='adam',rate=0.05}".to_owned(),
+        format!("time.step={step}"),
+    ];
+    let mut overrides = overrides.to_vec();
+    if !model.contains("physics") {
+        overrides[4] = "learn.guess={c=8.0,alpha=0.7,theta=0.45}".to_owned();
+    }
+    Scene::open(name, &overrides).unwrap()
+}
+
+fn learner<const D: usize>(scene: &Scene, gradient: Gradient) -> Learner<D> {
+    let mut scene = scene.clone();
+    scene.learn.as_mut().unwrap().gradient = gradient;
+    let learn = scene.learn.clone().unwrap();
+    let truth = Truth::<D>::generate(&scene, (learn.after, learn.frames)).unwrap();
+    let observations = truth.observations(&scene, &learn).unwrap();
+    Learner::new(&scene, truth.states[0].clone(), observations).unwrap()
+}
+
+/// `|slope − exact|/|exact|` of the best of several central differences along a direction.
+fn difference<const D: usize>(
+    learner: &mut Learner<D>,
+    (at, direction): (&[f64], &[f64]),
+    exact: f64,
+) -> f64 {
+    let mut loss = |step: f64| {
+        let moved: Vec<f64> = at.iter().zip(direction).map(|(x, d)| x + step * d).collect();
+        learner.evaluate(&moved, FRAMES).unwrap().loss
+    };
+    let mut best = f64::INFINITY;
+    for step in [1e-4, 1e-5, 1e-6, 1e-3, 3e-5, 3e-6] {
+        let near = loss(step) - loss(-step);
+        let far = loss(2.0 * step) - loss(-2.0 * step);
+        for slope in [near / (2.0 * step), (8.0 * near - far) / (12.0 * step)] {
+            best = best.min(((slope - exact) / exact).abs());
+        }
+        if best < 1e-8 {
+            break;
+        }
+    }
+    best
+}
+
+fn forward_adjoint_and_differences_agree_for_every_model_loss_and_step<const D: usize>() {
+    let (mut apart, mut off) = (0.0_f64, 0.0_f64);
+    let mut wrong = Vec::new();
+    for (model, _) in MODELS {
+        for step in ["paper", "kick-drift-kick"] {
+            for (name, loss) in LOSSES {
+                let scene = scene::<D>(model, step, loss);
+                let mut forward = learner::<D>(&scene, Gradient::Forward);
+                let mut backward = learner::<D>(&scene, Gradient::Adjoint);
+                let at = forward.guess(3);
+                let a = forward.evaluate(&at, FRAMES).unwrap();
+                let b = backward.evaluate(&at, FRAMES).unwrap();
+                assert!((a.loss - b.loss).abs() <= 1e-12 * a.loss, "{} {}", a.loss, b.loss);
+                let size = largest(a.gradient.iter().map(|g| g.abs()));
+                let gap =
+                    largest(a.gradient.iter().zip(&b.gradient).map(|(a, b)| (a - b).abs() / size));
+                // The slope along the gradient, every weight and every parameter at once.
+                let direction: Vec<f64> = a.gradient.iter().map(|g| g / size).collect();
+                let slope: f64 = a.gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+                let difference = difference(&mut backward, (&at, &direction), slope);
+                (apart, off) = (apart.max(gap), off.max(difference));
+                if !(gap <= 1e-10 && difference <= 1e-6) {
+                    wrong.push(format!(
+                        "{model} {step} {name}: adjoint {gap:.1e}, differences {difference:.1e}"
+                    ));
+                }
+            }
+        }
+    }
+    println!("{D}D: forward against adjoint {apart:.1e}, against differences {off:.1e}");
+    assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+/// The bits of `∂F/∂θ` of all particles.
+fn by_parameters<const D: usize>(flow: &mut Flow<D>) -> Vec<u64> {
+    let world = flow.world_mut();
+    let mut rows = world.query::<&AccelerationSensitivity<D>>();
+    let lanes = rows.iter(world).flat_map(|row| row.0.0);
+    lanes.flat_map(|lanes| lanes.to_array().map(f64::to_bits)).collect()
+}
+
+/// At the start a force depends on the parameters only directly, and local coupling misses nothing.
+fn local_coupling_is_exact_at_the_first_force_of_every_model<const D: usize>() {
+    for (model, _) in MODELS {
+        let scene = scene::<D>(model, "kick-drift-kick", LOSSES[1].1);
+        let parameters = learner::<D>(&scene, Gradient::Adjoint).columns().to_vec();
+        let [mut full, mut local] = [Coupling::Full, Coupling::Local].map(|coupling| {
+            let by = Differentiation { parameters: parameters.clone(), coupling };
+            Flow::<D>::build(&scene, &common::shaken(&scene), Some(&by), None).unwrap()
+        });
+        full.start().unwrap();
+        local.start().unwrap();
+        let (a, b) = (by_parameters(&mut full), by_parameters(&mut local));
+        assert!(a.iter().any(|&bits| bits != 0) && a == b, "{model} at the start");
+        (0..2).for_each(|_| (full.step().unwrap(), local.step().unwrap()).0);
+        assert!(by_parameters(&mut full) != by_parameters(&mut local), "{model} after two steps");
+    }
+}
+
+fn checkpoints_give_the_bits_of_full_storage_for_every_model<const D: usize>() {
+    for (model, _) in MODELS {
+        let scene = scene::<D>(model, "kick-drift-kick", LOSSES[3].1);
+        let gradient = |storage: Storage| {
+            let mut scene = scene.clone();
+            scene.learn.as_mut().unwrap().storage = storage;
+            let mut learner = learner::<D>(&scene, Gradient::Adjoint);
+            let at = learner.guess(3);
+            learner.evaluate(&at, FRAMES).unwrap()
+        };
+        let (all, few) = (gradient(Storage::All), gradient(Storage::Checkpoints(1)));
+        let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&all.gradient), bits(&few.gradient), "{model}");
+    }
+}
+
+#[test]
+fn antisymmetric_models_keep_momentum_and_the_others_say_how_much_they_lose() {
+    for (model, keeps) in MODELS {
+        let scene = scene::<3>(model, "kick-drift-kick", LOSSES[1].1);
+        let mut flow = Flow::<3>::build(&scene, &common::shaken(&scene), None, None).unwrap();
+        flow.start().unwrap();
+        let rates = flow.momentum_rates();
+        let lost = rates.pressure.norm() / rates.scale;
+        println!("{model}: |Σ m a| of the model's force is {lost:.1e} of Σ m |a|");
+        assert!(rates.scale > 0.0);
+        if keeps {
+            assert!(lost < 1e-14, "{model}: {lost:e}");
+        } else {
+            assert!(lost > 1e-6, "{model} should not keep momentum: {lost:e}");
+        }
+    }
+}
+
+#[test]
+fn a_neighbour_that_enters_the_support_brings_no_jump_with_a_window_and_one_without() {
+    for (kind, options) in [("nn-sum", ""), ("rot-inv", ""), ("node", ",nearest=4")] {
+        let jump = |window: bool| {
+            let model = format!("{{kind='{kind}',window={window}{options}}}");
+            let scene = scene::<3>(&model, "kick-drift-kick", LOSSES[1].1);
+            let mut accelerations = [-1e-9, 1e-9].map(|beyond| {
+                let mut state = common::two_particles::<3>(scene.fluid.box_length, 0.1);
+                let apart = 2.0 * scene.fluid.smoothing_length * (1.0 + beyond);
+                state.positions[0] = whirls::vector::Vector([1.0, 1.0, 1.0]);
+                state.positions[1] = whirls::vector::Vector([1.0 + apart, 1.0, 1.0]);
+                let mut flow = Flow::<3>::build(&scene, &state, None, None).unwrap();
+                flow.start().unwrap();
+                flow.accelerations()
+            });
+            let [inside, outside] = &mut accelerations;
+            common::farthest(inside, outside)
+        };
+        assert!(jump(true) < 1e-7, "{kind} with a window: {}", jump(true));
+        assert!(jump(false) > 1e-3, "{kind} without: {}", jump(false));
+    }
+}
+
+#[test]
+fn the_papers_sizes_of_networks_are_the_defaults() {
+    let weights = |kind: &str| {
+        let model: ModelChoice = toml::from_str(&format!("kind = '{kind}'")).unwrap();
+        let mut scene = Scene::shipped("inverse-3d").unwrap();
+        scene.learn.as_mut().unwrap().model = model;
+        Flow::<3>::build(&scene, &common::shaken(&scene), None, None).unwrap().weights().len()
+    };
+    // With the features listed in `models/`; the paper counts 66 and 113 for rot-inv and nn-sum, whose
+    // published code has five and twelve inputs.
+    let found = ["physics", "eos-nn", "grad-p", "rot-inv", "nn-sum", "node"].map(weights);
+    assert_eq!(found, [0, 141, 56, 61, 83, 653]);
+}
+
+#[test]
+fn what_a_model_cannot_do_is_refused_with_a_reason() {
+    for (overrides, expected) in [
+        ("learn.model={kind='nn-sums'}", "nn-sum"),
+        ("learn.model={kind='nn-sum',height=0}", "at least one"),
+        ("learn.model={kind='eos-nn',antisymmetric=true}", "antisymmetric"),
+        ("learn.model={kind='node',nearest=0}", "at least one"),
+        ("learn.model={kind='node',nearest=100000}", "1000"),
+    ] {
+        let error = Scene::open("inverse-3d", &[overrides.to_owned()]).map(|scene| {
+            let state = common::shaken::<3>(&scene);
+            Flow::<3>::build(&scene, &state, None, None).map(|_| ()).unwrap_err()
+        });
+        let error = error.unwrap_or_else(|error| error);
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains(expected), "{overrides}: {error}");
+    }
+}
