@@ -1,12 +1,12 @@
 //! Algorithm 1: predict, differentiate, compare, update.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::models::{Parameter, Parameters};
 use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Gradient, adjoint_gradient};
-use crate::systems::loss::Observations;
+use crate::systems::loss::{LossSum, Observations};
 use rand::RngExt;
 
 /// What is known after one evaluation of the loss.
@@ -20,6 +20,8 @@ pub struct Evaluation {
     pub trajectory: f64,
     /// Its field part.
     pub field: f64,
+    /// Its statistical part.
+    pub kl: f64,
     /// `∂loss/∂parameters`.
     pub gradient: Vec<f64>,
     /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
@@ -112,7 +114,8 @@ impl<const D: usize> Learner<D> {
     /// Runs the prediction over the first `window` frames and compares it with the truth.
     ///
     /// # Errors
-    /// [`crate::Error::Diverged`] where these parameters make a flow that cannot be trusted.
+    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss that
+    /// is not finite.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.flow.set_parameters(self.parameters(learned));
         self.flow.set_window(window);
@@ -126,26 +129,41 @@ impl<const D: usize> Learner<D> {
         let loss = self.flow.loss();
         let count = learned.len();
         let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
-        Ok(Evaluation {
-            parameters: learned.to_vec(),
-            loss: loss.trajectory.value + loss.field.value,
-            trajectory: loss.trajectory.value,
-            field: loss.field.value,
-            gradient: add(loss.trajectory.gradient(count), loss.field.gradient(count)),
-            normal: add(loss.trajectory.normal(count), loss.field.normal(count)),
-        })
+        let normal = add(loss.trajectory.normal(count), loss.field.normal(count));
+        self.evaluation(learned, &loss, (loss.gradient(count), normal))
     }
 
     fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         let storage = self.learn.storage;
         let found = adjoint_gradient(&mut self.flow, &self.from, window as u64, storage)?;
+        let gradient = self.learn.parameters.iter().map(|&p| found.gradient.get(p)).collect();
+        self.evaluation(learned, &found.loss, (gradient, Vec::new()))
+    }
+
+    fn evaluation(
+        &self,
+        learned: &[f64],
+        loss: &LossSum,
+        (gradient, normal): (Vec<f64>, Vec<f64>),
+    ) -> Result<Evaluation> {
+        let value = loss.value();
+        if !value.is_finite() {
+            return Err(Error::Diverged {
+                step: self.flow.steps(),
+                time: self.flow.time(),
+                quantity: "the loss".to_owned(),
+                found: format!("is {value}"),
+                remedy: "start nearer to the truth, or take a smaller time step".to_owned(),
+            });
+        }
         Ok(Evaluation {
             parameters: learned.to_vec(),
-            loss: found.loss.trajectory.value + found.loss.field.value,
-            trajectory: found.loss.trajectory.value,
-            field: found.loss.field.value,
-            gradient: self.learn.parameters.iter().map(|&p| found.gradient.get(p)).collect(),
-            normal: Vec::new(),
+            loss: value,
+            trajectory: loss.trajectory.value,
+            field: loss.field.value,
+            kl: loss.kl.value,
+            gradient,
+            normal,
         })
     }
 

@@ -99,7 +99,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         ));
     }
     let lesson = lesson::<D>(arguments, scene)?;
-    let observations = lesson.truth.observations(scene, &lesson.learn);
+    let observations = lesson.truth.observations(scene, &lesson.learn)?;
     let mut learner = Learner::new(scene, lesson.truth.states[0].clone(), observations)?;
     let guess = first_guess(arguments, scene, &learner)?;
     if arguments.common.explain {
@@ -219,6 +219,7 @@ fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> 
         loss: evaluation.loss,
         loss_trajectory: evaluation.trajectory,
         loss_field: evaluation.field,
+        loss_kl: evaluation.kl,
         gradient_norm: evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
         learning_rate_or_damping: iteration.rate,
         window: iteration.window as u64,
@@ -304,7 +305,7 @@ fn check_gradient<const D: usize>(scene: &Scene, lesson: &Lesson<D>, guess: &[f6
             learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
             learn.gradient = gradient;
         }
-        let observations = lesson.truth.observations(&scene, &lesson.learn);
+        let observations = lesson.truth.observations(&scene, &lesson.learn)?;
         let mut learner = Learner::new(&scene, lesson.truth.states[0].clone(), observations)?;
         learner.evaluate(guess, frames)?;
         let clock = Instant::now();
