@@ -1,11 +1,14 @@
 //! `train`: learns the law of a flow from its moving particles.
 
 mod common;
+#[path = "train/floor.rs"]
+mod floor;
 #[path = "common/scene.rs"]
 mod scene;
 
 use clap::Parser;
 use common::{conclude, say, say_json};
+use floor::floor;
 use scene::{SceneArguments, explain, in_dimension, progress};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -40,6 +43,9 @@ struct Arguments {
     /// Compare forward gradient, adjoint and central differences at the first guess, and stop.
     #[arg(long)]
     check_gradient: bool,
+    /// Do not measure the sampling floor of the statistical loss, which takes two more runs of the truth.
+    #[arg(long)]
+    no_floor: bool,
     /// Show truth and search in a Rerun viewer once recorded (needs the feature `viewer`).
     #[arg(long)]
     live: bool,
@@ -62,6 +68,17 @@ struct Report {
     truth: Option<BTreeMap<&'static str, f64>>,
     seconds: Seconds,
     recording: PathBuf,
+    losses: Losses,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kl_floor: Option<f64>,
+}
+
+/// The parts of the final loss.
+#[derive(Serialize)]
+struct Losses {
+    trajectory: f64,
+    field: f64,
+    kl: f64,
 }
 
 #[derive(Serialize)]
@@ -122,6 +139,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let learned: Vec<&str> = learner.columns().iter().map(|p| p.name()).collect();
     let text = format!("learning {} from {} steps", learned.join(", "), lesson.learn.frames);
     recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
+    let kl_floor = floor(arguments, scene, &lesson, &mut recorder)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
     let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
@@ -139,6 +157,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let outcome = outcome?;
     let train = clock.elapsed().as_secs_f64();
     let report = report(scene, &lesson, &outcome, (train, path, learner.gradient().name()));
+    let report = Report { kl_floor, ..report };
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -271,6 +290,12 @@ fn report<const D: usize>(
         truth: lesson.known.as_deref().map(named),
         seconds: Seconds { truth: lesson.seconds, train },
         recording,
+        losses: Losses {
+            trajectory: outcome.evaluation.trajectory,
+            field: outcome.evaluation.field,
+            kl: outcome.evaluation.kl,
+        },
+        kl_floor: None,
     }
 }
 
@@ -285,6 +310,14 @@ fn describe(report: &Report) {
         report.iterations,
         report.seconds.train
     ));
+    let Losses { trajectory, field, kl } = report.losses;
+    let parts = [("trajectory", trajectory), ("field", field), ("kl", kl)].into_iter();
+    let mut parts: Vec<_> = parts.filter(|(_, loss)| loss.abs() > 0.0).collect();
+    parts.extend(report.kl_floor.map(|floor| ("sampling floor of kl", floor)));
+    if parts.len() > 1 {
+        let parts = parts.iter().map(|(name, loss)| format!("{name} {loss:.2e}"));
+        say(format!("  {}", parts.collect::<Vec<_>>().join(", ")));
+    }
     for (name, value) in &report.parameters {
         let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {
             Some(truth) => format!("   truth {truth}, off by {:.1e}", (value - truth).abs()),
