@@ -322,7 +322,15 @@ fn help_names_every_option() {
         for option in own.iter().chain(shared) {
             assert!(done.out.contains(option), "{command} --help does not name {option}");
         }
-        assert!(place.run(command, &["--version"]).out.contains(env!("CARGO_PKG_VERSION")));
+    }
+}
+
+#[test]
+fn version_begins_with_the_name_of_the_command() {
+    let place = Place::new();
+    for command in ["train", "simulate", "import", "replay"] {
+        let version = place.run(command, &["--version"]).out;
+        assert_eq!(version.trim_end(), format!("{command} {}", env!("CARGO_PKG_VERSION")));
     }
 }
 

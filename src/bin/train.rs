@@ -26,7 +26,7 @@ use whirls::{Error, Flow, Result, Scene};
 
 /// Learns the law of a flow from its moving particles, and records truth, search and learned flow.
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "train", version)]
 struct Arguments {
     /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
     #[arg(default_value = "inverse-3d")]
