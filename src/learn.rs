@@ -31,22 +31,24 @@ pub struct Evaluation {
 /// One iteration of the search, as it is recorded.
 #[derive(Clone, Debug)]
 pub struct Iteration<'a> {
-    /// Zero is the guess; then counted over all stages.
+    /// Zero is the guess; then counted over all stages: `k` stands behind `k` updates (first order) or
+    /// trials (Levenberg–Marquardt).
     pub index: usize,
     /// Frames that count in this stage.
     pub window: usize,
     /// Loss and gradient at the parameters that are now best (Levenberg–Marquardt) or current.
     pub evaluation: &'a Evaluation,
-    /// Damping (Levenberg–Marquardt) or learning rate.
+    /// Damping (Levenberg–Marquardt), or learning rate of the update that led here.
     pub rate: f64,
-    /// Why the last trial was taken back, if it was.
+    /// Why the last trial was taken back, if it was, or which iteration is gone back to.
     pub note: Option<String>,
 }
 
 /// How a search ended.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Loss and parameters over all frames.
+    /// Loss and parameters over all frames; of a first-order search the best that its last stage met,
+    /// which is also the last iteration: one more goes back to it where it was left behind.
     pub evaluation: Evaluation,
     /// Loss of the first guess over all frames.
     pub initial_loss: f64,
@@ -188,7 +190,7 @@ impl<const D: usize> Learner<D> {
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
         windows.push(self.frames);
-        let mut search = Search { at: guess, index: 0 };
+        let mut search = Search { at: guess, index: 0, window: self.frames, best: None };
         for window in windows {
             let full = window == self.frames;
             match self.learn.optimiser.clone() {
@@ -205,7 +207,10 @@ impl<const D: usize> Learner<D> {
                 }
             }
         }
-        let evaluation = self.evaluate(&search.at, self.frames)?;
+        let evaluation = match search.best.take() {
+            Some(best) => self.go_back(&mut search, best, watch)?,
+            None => self.evaluate(&search.at, self.frames)?,
+        };
         Ok(Outcome { evaluation, initial_loss, iterations: search.index })
     }
 }
@@ -214,6 +219,18 @@ impl<const D: usize> Learner<D> {
 struct Search {
     at: Vec<f64>,
     index: usize,
+    /// Window of the last iteration.
+    window: usize,
+    /// The best evaluation over all frames that a first-order search met, and behind which iteration.
+    best: Option<(usize, Evaluation)>,
+}
+
+impl Search {
+    fn meet(&mut self, here: &Evaluation) {
+        if self.best.as_ref().is_none_or(|(_, best)| here.loss < best.loss) {
+            self.best = Some((self.index, here.clone()));
+        }
+    }
 }
 
 /// Trials in a row that may fail before a search by Levenberg–Marquardt counts as finished.
@@ -288,19 +305,42 @@ impl<const D: usize> Learner<D> {
         // Each stage has an equal share of the iterations, and ten decays.
         let stages = self.learn.windows.iter().filter(|&&w| w < self.frames).count() + 1;
         let share = self.learn.iterations.div_ceil(stages);
-        for iteration in 0..share {
-            let evaluation = self.evaluate(&search.at, window)?;
-            search.index += 1;
-            let (index, rate) = (search.index, optimiser.rate());
-            watch(&Iteration { index, window, evaluation: &evaluation, rate, note: None })?;
-            if evaluation.loss <= self.learn.target {
+        let last = window == self.frames;
+        let mut here = self.evaluate(&search.at, window)?;
+        for iteration in 0..=share {
+            if last {
+                search.meet(&here);
+            }
+            if iteration == share || here.loss <= self.learn.target {
                 break;
             }
-            optimiser.descend(&mut search.at, &evaluation.gradient);
+            let rate = optimiser.rate();
+            optimiser.descend(&mut search.at, &here.gradient);
             if (iteration + 1) % share.div_ceil(10) == 0 {
-                optimiser.set_rate(optimiser.rate() * decay);
+                optimiser.set_rate(rate * decay);
             }
+            here = self.evaluate(&search.at, window)?;
+            (search.index, search.window) = (search.index + 1, window);
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &here, rate, note: None })?;
         }
         Ok(())
+    }
+
+    /// Ends a first-order search with its best evaluation, where the last iteration is another one.
+    fn go_back(
+        &self,
+        search: &mut Search,
+        (met, best): (usize, Evaluation),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Evaluation> {
+        let window = self.frames;
+        if met != search.index || search.window != window {
+            search.index += 1;
+            let note = Some(format!("the parameters of iteration {met}, the best over all frames"));
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &best, rate: 0.0, note })?;
+        }
+        Ok(best)
     }
 }
