@@ -1,13 +1,13 @@
 //! Algorithm 1: predict, differentiate, compare, update.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::kernel::Smoothing;
 use crate::models::{Medium, Parameter};
 use crate::optimisers::{Adam, Descend, LevenbergMarquardt, Products, Rmsprop};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Gradient, adjoint_gradient};
-use crate::systems::loss::Observations;
+use crate::systems::loss::{LossSum, Observations};
 use rand::RngExt;
 
 /// What is known after one evaluation of the loss.
@@ -21,6 +21,8 @@ pub struct Evaluation {
     pub trajectory: f64,
     /// Its field part.
     pub field: f64,
+    /// Its statistical part.
+    pub kl: f64,
     /// `∂loss/∂parameters`.
     pub gradient: Vec<f64>,
     /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
@@ -30,22 +32,24 @@ pub struct Evaluation {
 /// One iteration of the search, as it is recorded.
 #[derive(Clone, Debug)]
 pub struct Iteration<'a> {
-    /// Zero is the guess; then counted over all stages.
+    /// Zero is the guess; then counted over all stages: `k` stands behind `k` updates (first order) or
+    /// trials (Levenberg–Marquardt).
     pub index: usize,
     /// Frames that count in this stage.
     pub window: usize,
     /// Loss and gradient at the parameters that are now best (Levenberg–Marquardt) or current.
     pub evaluation: &'a Evaluation,
-    /// Damping (Levenberg–Marquardt) or learning rate.
+    /// Damping (Levenberg–Marquardt), or learning rate of the update that led here.
     pub rate: f64,
-    /// Why the last trial was taken back, if it was.
+    /// Why the last trial was taken back, if it was, or which iteration is gone back to.
     pub note: Option<String>,
 }
 
 /// How a search ended.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Loss and parameters over all frames.
+    /// Loss and parameters over all frames; of a first-order search the best that its last stage met,
+    /// which is also the last iteration: one more goes back to it where it was left behind.
     pub evaluation: Evaluation,
     /// Loss of the first guess over all frames.
     pub initial_loss: f64,
@@ -121,7 +125,8 @@ impl<const D: usize> Learner<D> {
     /// Runs the prediction over the first `window` frames and compares it with the truth.
     ///
     /// # Errors
-    /// [`crate::Error::Diverged`] where these parameters make a flow that cannot be trusted.
+    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss that
+    /// is not finite.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.flow.set_learned(&self.columns, learned);
         self.flow.set_window(window);
@@ -135,26 +140,41 @@ impl<const D: usize> Learner<D> {
         let loss = self.flow.loss();
         let count = learned.len();
         let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
-        Ok(Evaluation {
-            parameters: learned.to_vec(),
-            loss: loss.trajectory.value + loss.field.value,
-            trajectory: loss.trajectory.value,
-            field: loss.field.value,
-            gradient: add(loss.trajectory.gradient(count), loss.field.gradient(count)),
-            normal: add(loss.trajectory.normal(count), loss.field.normal(count)),
-        })
+        let normal = add(loss.trajectory.normal(count), loss.field.normal(count));
+        self.evaluation(learned, &loss, (loss.gradient(count), normal))
     }
 
     fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         let storage = self.learn.storage;
         let found = adjoint_gradient(&mut self.flow, &self.from, window as u64, storage)?;
+        let gradient = self.columns.iter().map(|p| found.gradient[p.index()]).collect();
+        self.evaluation(learned, &found.loss, (gradient, Vec::new()))
+    }
+
+    fn evaluation(
+        &self,
+        learned: &[f64],
+        loss: &LossSum,
+        (gradient, normal): (Vec<f64>, Vec<f64>),
+    ) -> Result<Evaluation> {
+        let value = loss.value();
+        if !value.is_finite() {
+            return Err(Error::Diverged {
+                step: self.flow.steps(),
+                time: self.flow.time(),
+                quantity: "the loss".to_owned(),
+                found: format!("is {value}"),
+                remedy: "start nearer to the truth, or take a smaller time step".to_owned(),
+            });
+        }
         Ok(Evaluation {
             parameters: learned.to_vec(),
-            loss: found.loss.trajectory.value + found.loss.field.value,
-            trajectory: found.loss.trajectory.value,
-            field: found.loss.field.value,
-            gradient: self.columns.iter().map(|p| found.gradient[p.index()]).collect(),
-            normal: Vec::new(),
+            loss: value,
+            trajectory: loss.trajectory.value,
+            field: loss.field.value,
+            kl: loss.kl.value,
+            gradient,
+            normal,
         })
     }
 
@@ -179,7 +199,7 @@ impl<const D: usize> Learner<D> {
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
         windows.push(self.frames);
-        let mut search = Search { at: guess, index: 0 };
+        let mut search = Search { at: guess, index: 0, window: self.frames, best: None };
         for window in windows {
             let full = window == self.frames;
             match self.learn.optimiser.clone() {
@@ -196,7 +216,10 @@ impl<const D: usize> Learner<D> {
                 }
             }
         }
-        let evaluation = self.evaluate(&search.at, self.frames)?;
+        let evaluation = match search.best.take() {
+            Some(best) => self.go_back(&mut search, best, watch)?,
+            None => self.evaluate(&search.at, self.frames)?,
+        };
         Ok(Outcome { evaluation, initial_loss, iterations: search.index })
     }
 }
@@ -205,6 +228,18 @@ impl<const D: usize> Learner<D> {
 struct Search {
     at: Vec<f64>,
     index: usize,
+    /// Window of the last iteration.
+    window: usize,
+    /// The best evaluation over all frames that a first-order search met, and behind which iteration.
+    best: Option<(usize, Evaluation)>,
+}
+
+impl Search {
+    fn meet(&mut self, here: &Evaluation) {
+        if self.best.as_ref().is_none_or(|(_, best)| here.loss < best.loss) {
+            self.best = Some((self.index, here.clone()));
+        }
+    }
 }
 
 /// Trials in a row that may fail before a search by Levenberg–Marquardt counts as finished.
@@ -279,19 +314,42 @@ impl<const D: usize> Learner<D> {
         // Each stage has an equal share of the iterations, and ten decays.
         let stages = self.learn.windows.iter().filter(|&&w| w < self.frames).count() + 1;
         let share = self.learn.iterations.div_ceil(stages);
-        for iteration in 0..share {
-            let evaluation = self.evaluate(&search.at, window)?;
-            search.index += 1;
-            let (index, rate) = (search.index, optimiser.rate());
-            watch(&Iteration { index, window, evaluation: &evaluation, rate, note: None })?;
-            if evaluation.loss <= self.learn.target {
+        let last = window == self.frames;
+        let mut here = self.evaluate(&search.at, window)?;
+        for iteration in 0..=share {
+            if last {
+                search.meet(&here);
+            }
+            if iteration == share || here.loss <= self.learn.target {
                 break;
             }
-            optimiser.descend(&mut search.at, &evaluation.gradient);
+            let rate = optimiser.rate();
+            optimiser.descend(&mut search.at, &here.gradient);
             if (iteration + 1) % share.div_ceil(10) == 0 {
-                optimiser.set_rate(optimiser.rate() * decay);
+                optimiser.set_rate(rate * decay);
             }
+            here = self.evaluate(&search.at, window)?;
+            (search.index, search.window) = (search.index + 1, window);
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &here, rate, note: None })?;
         }
         Ok(())
+    }
+
+    /// Ends a first-order search with its best evaluation, where the last iteration is another one.
+    fn go_back(
+        &self,
+        search: &mut Search,
+        (met, best): (usize, Evaluation),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Evaluation> {
+        let window = self.frames;
+        if met != search.index || search.window != window {
+            search.index += 1;
+            let note = Some(format!("the parameters of iteration {met}, the best over all frames"));
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &best, rate: 0.0, note })?;
+        }
+        Ok(best)
     }
 }

@@ -4,9 +4,9 @@ use crate::cells::Cells;
 use crate::error::Result;
 use crate::flow::{Flow, State};
 use crate::kernel::Smoothing;
-use crate::losses::{Mesh, Points, field};
+use crate::losses::{IncrementDensities, Mesh, Points, field, sampling_floor};
 use crate::packed::Packed;
-use crate::scene::{Learn, Scene};
+use crate::scene::{Learn, Scene, Times};
 use crate::space::PeriodicBox;
 use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
@@ -48,17 +48,28 @@ impl<const D: usize> Truth<D> {
         self.densities.push(flow.densities());
     }
 
-    /// What a prediction from the first state is compared with: the states behind it, and their
-    /// fields where the scene asks for a field loss.
-    pub fn observations(&self, scene: &Scene, learn: &Learn) -> Observations<D> {
+    /// `δu = u(τ) − u(0)` of every particle, `τ` being `frame` frames behind the first state.
+    pub fn increments(&self, frame: usize) -> Vec<Vector<f64, D>> {
+        let pairs = self.states[frame].velocities.iter().zip(&self.states[0].velocities);
+        pairs.map(|(&v, &start)| v - start).collect()
+    }
+
+    /// What a prediction from the first state is compared with: the states behind it, their
+    /// fields where the scene asks for a field loss, and the densities of their increments where it
+    /// asks for a statistical one.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] where a velocity is not finite.
+    pub fn observations(&self, scene: &Scene, learn: &Learn) -> Result<Observations<D>> {
         let per_axis = learn
             .mesh
             .unwrap_or_else(|| (scene.particles() as f64).powf(1.0 / D as f64).round() as usize);
         let mesh = Mesh { per_axis, length: scene.fluid.box_length };
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
-        let frames: Vec<Observation<D>> = states
-            .enumerate()
-            .map(|(k, (state, densities))| Observation {
+        let observation = |(k, (state, densities)): (usize, (&State<D>, &Vec<f64>))| {
+            let increments =
+                || IncrementDensities::new(&self.increments(k + 1), learn.increments.nodes);
+            Ok(Observation {
                 step: k as u64 + 1,
                 positions: state.positions.clone(),
                 velocities: state.velocities.clone(),
@@ -67,12 +78,50 @@ impl<const D: usize> Truth<D> {
                 } else {
                     Vec::new()
                 },
+                increments: (learn.loss.kl > 0.0).then(increments).transpose()?,
             })
-            .collect();
-        let window = frames.len();
-        let (trajectory, field) = (learn.loss.trajectory, learn.loss.field);
-        Observations { frames: Arc::new(frames), window, trajectory, field, mesh }
+        };
+        let frames = states.enumerate().map(observation).collect::<Result<Vec<_>>>()?;
+        Ok(Observations {
+            window: frames.len(),
+            frames: Arc::new(frames),
+            trajectory: learn.loss.trajectory,
+            field: learn.loss.field,
+            mesh,
+            kl: learn.statistical_weight(scene.dt()),
+            times: learn.increments.times,
+            start: Arc::new(self.states[0].velocities.clone()),
+        })
     }
+}
+
+/// The statistical loss of one realisation of a truth against another: the mean over all ordered pairs
+/// of [`sampling_floor`], summed over components and over the frames that count, and weighted as in the
+/// loss. A perfect model with other random numbers scores this; a loss below it says no more about the
+/// distribution.
+///
+/// # Errors
+/// [`crate::Error::Input`] for fewer than two realisations or a velocity that is not finite.
+pub fn statistical_floor<const D: usize>(
+    realisations: &[&Truth<D>],
+    scene: &Scene,
+    learn: &Learn,
+) -> Result<f64> {
+    let first = match learn.increments.times {
+        Times::Last => learn.frames,
+        Times::All => 1,
+    };
+    let mut sum = 0.0;
+    for frame in first..=learn.frames {
+        let increments: Vec<_> = realisations.iter().map(|truth| truth.increments(frame)).collect();
+        for axis in 0..D {
+            let one = |all: &Vec<Vector<f64, D>>| all.iter().map(|du| du[axis]).collect();
+            let components: Vec<Vec<f64>> = increments.iter().map(one).collect();
+            let components: Vec<&[f64]> = components.iter().map(Vec::as_slice).collect();
+            sum += sampling_floor(&components, learn.increments.nodes)?;
+        }
+    }
+    Ok(learn.statistical_weight(scene.dt()) * sum)
 }
 
 /// The smoothed velocity field of a state on a mesh, Eq. (13).

@@ -8,11 +8,12 @@ use super::tape::{FrameAdjoint, Tape};
 use super::verlet::Clock;
 use crate::kernel::KernelName;
 use crate::losses::{
-    Mesh, Points, SquareSum, StateAdjoint, field_adjoint, field_loss, trajectory_adjoint,
-    trajectory_loss,
+    GradientSum, IncrementDensities, Mesh, Points, SquareSum, StateAdjoint, field_adjoint,
+    field_loss, statistical_adjoint, statistical_loss, trajectory_adjoint, trajectory_loss,
 };
 use crate::models::Medium;
 use crate::packed::PackedAdjoint;
+use crate::scene::Times;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
@@ -28,6 +29,8 @@ pub struct Observation<const D: usize> {
     pub velocities: Vec<Vector<f64, D>>,
     /// `V̂` by mesh node; empty where no field loss is asked for.
     pub field: Vec<Vector<f64, D>>,
+    /// Densities of `v̂ − u(0)`; none where no statistical loss is asked for.
+    pub increments: Option<IncrementDensities<D>>,
 }
 
 /// What a World is compared with.
@@ -43,6 +46,48 @@ pub struct Observations<const D: usize> {
     pub field: f64,
     /// Mesh of the field loss.
     pub mesh: Mesh<D>,
+    /// Weight of each frame that counts in the statistical loss.
+    pub kl: f64,
+    /// Which frames those are.
+    pub times: Times,
+    /// `u(0)` by particle: the velocities that the prediction starts with.
+    pub start: Arc<Vec<Vector<f64, D>>>,
+}
+
+/// An observed frame, and how much it counts in each loss.
+struct Share<'a, const D: usize> {
+    frame: &'a Observation<D>,
+    trajectory: f64,
+    field: f64,
+    kl: Option<(&'a IncrementDensities<D>, f64)>,
+    start: &'a [Vector<f64, D>],
+}
+
+impl<const D: usize> Observations<D> {
+    /// What is observed at a step, within the window.
+    fn share(&self, step: u64) -> Option<Share<'_, D>> {
+        let frames = &self.frames[..self.window];
+        let index = frames.iter().position(|frame| frame.step == step)?;
+        let counts = self.times == Times::All || index + 1 == frames.len();
+        let frame = &frames[index];
+        Some(Share {
+            frame,
+            trajectory: self.trajectory,
+            field: self.field / frames.len() as f64,
+            kl: frame.increments.as_ref().filter(|_| counts).map(|truth| (truth, self.kl)),
+            start: &self.start,
+        })
+    }
+}
+
+impl<const D: usize> Share<'_, D> {
+    /// `(r̂, v̂)` of the particle in a slot.
+    fn truth(&self, rows: &[u32]) -> impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>) {
+        |slot| {
+            let row = rows[slot] as usize;
+            (self.frame.positions[row], self.frame.velocities[row])
+        }
+    }
 }
 
 /// The loss of a World so far.
@@ -52,12 +97,26 @@ pub struct LossSum {
     pub trajectory: SquareSum,
     /// Field loss, weighted.
     pub field: SquareSum,
+    /// Statistical loss, weighted.
+    pub kl: GradientSum,
 }
 
 impl LossSum {
     /// Nothing yet, of `blocks` blocks of parameters.
     pub fn new(blocks: usize) -> Self {
-        Self { trajectory: SquareSum::new(blocks), field: SquareSum::new(blocks) }
+        let squares = SquareSum::new(blocks);
+        Self { trajectory: squares.clone(), field: squares, kl: GradientSum::new(blocks) }
+    }
+
+    /// All parts together.
+    pub fn value(&self) -> f64 {
+        self.trajectory.value + self.field.value + self.kl.value
+    }
+
+    /// `∂value/∂θ` of the first `count` parameters.
+    pub fn gradient(&self, count: usize) -> Vec<f64> {
+        let squares = self.trajectory.gradient(count).into_iter().zip(self.field.gradient(count));
+        squares.zip(self.kl.gradient(count)).map(|((a, b), c)| a + b + c).collect()
     }
 }
 
@@ -66,7 +125,7 @@ pub fn is_observed<const D: usize>(
     clock: Res<Clock>,
     observations: Option<Res<Observations<D>>>,
 ) -> bool {
-    observations.is_some_and(|o| o.frames[..o.window].iter().any(|frame| frame.step == clock.step))
+    observations.is_some_and(|observations| observations.share(clock.step).is_some())
 }
 
 /// System: adds an observed frame's share to the loss.
@@ -77,27 +136,24 @@ pub fn accumulate_loss<const D: usize>(
     sensitivities: Option<Res<SensitivityCloud<D>>>,
     mut loss: ResMut<LossSum>,
 ) {
-    let frames = &observations.frames[..observations.window];
-    let Some(frame) = frames.iter().find(|frame| frame.step == clock.step) else {
-        return;
-    };
+    let Some(share) = observations.share(clock.step) else { return };
     let blocks: Vec<_> = match &sensitivities {
         Some(cloud) => cloud.blocks.iter().map(|block| block.packed.as_slice()).collect(),
         None => Vec::new(),
     };
-    if observations.trajectory > 0.0 {
-        let rows = &neighbours.cells.row_of_slot;
-        let truth = |slot: usize| {
-            let row = rows[slot] as usize;
-            (frame.positions[row], frame.velocities[row])
-        };
-        let share = (neighbours.space, observations.trajectory);
-        loss.trajectory.merge(&trajectory_loss(cloud.particles(), &blocks, truth, share));
+    if share.trajectory > 0.0 {
+        let truth = share.truth(&neighbours.cells.row_of_slot);
+        let weight = (neighbours.space, share.trajectory);
+        loss.trajectory.merge(&trajectory_loss(cloud.particles(), &blocks, truth, weight));
     }
-    if observations.field > 0.0 {
+    if share.field > 0.0 {
         let points = points(law.0.medium(), &neighbours, &cloud);
-        let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
-        loss.field.merge(&field_loss(&observations.mesh, &points, &blocks, share));
+        let truth = (share.frame.field.as_slice(), share.field);
+        loss.field.merge(&field_loss(&observations.mesh, &points, &blocks, truth));
+    }
+    if let Some(truth) = share.kl {
+        let particles = (cloud.particles(), &cloud.slot_of_row[..]);
+        loss.kl.merge(&statistical_loss(particles, &blocks, share.start, truth));
     }
 }
 
@@ -110,31 +166,28 @@ pub fn accumulate_loss_adjoint<const D: usize>(
     mut tape: ResMut<Tape<D>>,
     mut loss: ResMut<LossSum>,
 ) {
-    let frames = &observations.frames[..observations.window];
-    let Some(frame) = frames.iter().find(|frame| frame.step == clock.step) else { return };
+    let Some(share) = observations.share(clock.step) else { return };
     let mut adjoint = StateAdjoint::zero(cloud.len());
-    if observations.trajectory > 0.0 {
-        let rows = &neighbours.cells.row_of_slot;
-        let truth = |slot: usize| {
-            let row = rows[slot] as usize;
-            (frame.positions[row], frame.velocities[row])
-        };
-        let share = (neighbours.space, observations.trajectory);
-        let part = trajectory_adjoint(cloud.particles(), truth, share);
+    if share.trajectory > 0.0 {
+        let truth = share.truth(&neighbours.cells.row_of_slot);
+        let part =
+            trajectory_adjoint(cloud.particles(), truth, (neighbours.space, share.trajectory));
         loss.trajectory.value += part.value;
         adjoint.merge(&part);
     }
-    if observations.field > 0.0 {
+    if share.field > 0.0 {
         let points = points(law.0.medium(), &neighbours, &cloud);
-        let share = (frame.field.as_slice(), observations.field / frames.len() as f64);
-        let part = field_adjoint(&observations.mesh, &points, share);
+        let truth = (share.frame.field.as_slice(), share.field);
+        let part = field_adjoint(&observations.mesh, &points, truth);
         loss.field.value += part.value;
         adjoint.merge(&part);
-        let line = |&density: &f64| PackedAdjoint { density, ..PackedAdjoint::ZERO };
-        let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
-        lines.push(PackedAdjoint::ZERO);
-        let state = (cloud.packed.as_slice(), lines.as_slice());
-        pull_density_back(&neighbours, law.0.medium(), state, &mut adjoint.position);
+        pull_back_through_density(law.0.medium(), &neighbours, &cloud, &mut adjoint);
+    }
+    if let Some(truth) = share.kl {
+        let particles = (cloud.particles(), &cloud.slot_of_row[..]);
+        let part = statistical_adjoint(particles, share.start, truth);
+        loss.kl.value += part.value;
+        adjoint.merge(&part);
     }
     if !tape.running {
         return;
@@ -144,6 +197,20 @@ pub fn accumulate_loss_adjoint<const D: usize>(
     };
     let (position, velocity) = (by_row(&adjoint.position), by_row(&adjoint.velocity));
     tape.push_frame(FrameAdjoint { step: clock.step, position, velocity });
+}
+
+/// `∂L/∂r` through the densities, which the field's loss depends on.
+fn pull_back_through_density<const D: usize>(
+    medium: &Medium<D>,
+    neighbours: &Neighbours<D>,
+    cloud: &Cloud<D>,
+    adjoint: &mut StateAdjoint<D>,
+) {
+    let line = |&density: &f64| PackedAdjoint { density, ..PackedAdjoint::ZERO };
+    let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
+    lines.push(PackedAdjoint::ZERO);
+    let state = (cloud.packed.as_slice(), lines.as_slice());
+    pull_density_back(neighbours, medium, state, &mut adjoint.position);
 }
 
 fn points<'a, const D: usize>(

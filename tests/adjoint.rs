@@ -44,7 +44,7 @@ const FORCINGS: [&str; 4] = [
 fn both<const D: usize>(scene: &Scene, storage: Storage) -> ([f64; 5], [f64; 5], [f64; 2]) {
     let learn = scene.learn.clone().unwrap();
     let truth = Truth::<D>::generate(scene, (learn.after, learn.frames)).unwrap();
-    let observations = truth.observations(scene, &learn);
+    let observations = truth.observations(scene, &learn).unwrap();
     let mut guess = scene.parameters();
     for (parameter, factor) in guess.0.iter_mut().zip([0.8, 0.7, 1.3, 0.75, 0.9]) {
         *parameter *= factor;
@@ -78,7 +78,8 @@ fn adjoint_and_forward_gradients_agree_to_round_off() {
         for forcing in FORCINGS {
             for (trajectory, field) in [(1.0, 0.0), (0.0, 1.0), (0.3, 2.0)] {
                 for dimension in [2, 3] {
-                    let scene = scene(dimension, step, forcing, Weights { trajectory, field });
+                    let scene =
+                        scene(dimension, step, forcing, Weights { trajectory, field, kl: 0.0 });
                     let (forward, adjoint, losses) = match dimension {
                         2 => both::<2>(&scene, Storage::All),
                         _ => both::<3>(&scene, Storage::All),
@@ -102,7 +103,7 @@ fn adjoint_and_forward_gradients_agree_to_round_off() {
 #[test]
 fn checkpoints_give_the_bits_of_full_storage() {
     for step in [Step::KickDriftKick, Step::Paper] {
-        let mut scene = scene(3, step, "paper", Weights { trajectory: 1.0, field: 1.0 });
+        let mut scene = scene(3, step, "paper", Weights { trajectory: 1.0, field: 1.0, kl: 0.0 });
         if let Some(learn) = &mut scene.learn {
             learn.frames = 11;
         }
@@ -134,7 +135,7 @@ fn a_search_by_adjoint_follows_the_search_by_forward_gradients() {
         let scene = Scene::open("inverse-3d", &overrides).unwrap();
         let learn = scene.learn.clone().unwrap();
         let truth = Truth::<3>::generate(&scene, (learn.after, learn.frames)).unwrap();
-        let observations = truth.observations(&scene, &learn);
+        let observations = truth.observations(&scene, &learn).unwrap();
         let mut learner = Learner::new(&scene, truth.states[0].clone(), observations).unwrap();
         let guess = learner.guess(1);
         learner.run(guess, &mut |_| Ok(())).unwrap().evaluation

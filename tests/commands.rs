@@ -30,6 +30,7 @@ fn train_ends_with_the_json_object_of_its_contract() {
         "truth",
         "seconds",
         "recording",
+        "losses",
     ];
     expected.sort_unstable();
     assert_eq!(keys, expected);
@@ -126,6 +127,34 @@ fn check_gradient_prints_one_line_for_each_parameter() {
         let difference: f64 = line.unwrap().split_whitespace().last().unwrap().parse().unwrap();
         assert!(difference < 1e-4, "{line:?}");
     }
+}
+
+#[test]
+fn train_on_increments_reports_the_parts_of_its_loss_and_the_sampling_floor() {
+    let place = Place::new();
+    let kl = ["small.toml", "--set", "learn.loss.kl=0.5", "--set"];
+    let kl = [&kl[..], &["learn.optimiser={kind='adam',rate=0.1}", "--set"]].concat();
+    let few = [&kl[..], &["learn.iterations=2", "--json", "--record"]].concat();
+    let report = place.json("train", &[&few[..], &["kl.mcap"]].concat());
+    let part = |name: &str| report["losses"][name].as_f64().unwrap();
+    let sum = part("trajectory") + part("field") + part("kl");
+    assert!(part("trajectory").abs() < 1e-300 && part("field") > 0.0 && part("kl") > 0.0);
+    assert!((report["loss_final"].as_f64().unwrap() - sum).abs() < 1e-15 * sum);
+    assert!(report["kl_floor"].as_f64().unwrap() > 0.0);
+    let recording = place.recording("kl.mcap");
+    let steps = recording.train_steps().unwrap();
+    assert!(steps.iter().all(|step| step.loss_kl > 0.0 && step.loss > step.loss_kl));
+    let log = recording.logs().unwrap();
+    assert!(log.iter().any(|line| line.text.contains("sampling floor")), "{log:?}");
+
+    let report = place.json("train", &[&few[..], &["none.mcap", "--no-floor"]].concat());
+    assert!(report.get("kl_floor").is_none());
+    let text = place.run("train", &[&kl[..], &["learn.iterations=2"]].concat()).out;
+    assert!(text.contains("  field ") && text.contains(", sampling floor of kl "), "{text}");
+    let done = place.run("train", &[&kl[..], &["learn.guess.c=9.0", "--check-gradient"]].concat());
+    let line = done.out.lines().find(|line| line.starts_with("  c ")).unwrap();
+    let difference: f64 = line.split_whitespace().last().unwrap().parse().unwrap();
+    assert!(difference < 1e-4, "{line}");
 }
 
 #[test]
@@ -269,7 +298,7 @@ fn help_names_every_option() {
     let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
     let place = Place::new();
     let commands: [(&str, &[&str]); 4] = [
-        ("train", &["--truth", "--record", "--resume", "--check-gradient", "--live"]),
+        ("train", &["--truth", "--record", "--resume", "--check-gradient", "--no-floor", "--live"]),
         ("simulate", &["--from", "--frame", "--steps", "--record"]),
         (
             "import",
@@ -293,7 +322,15 @@ fn help_names_every_option() {
         for option in own.iter().chain(shared) {
             assert!(done.out.contains(option), "{command} --help does not name {option}");
         }
-        assert!(place.run(command, &["--version"]).out.contains(env!("CARGO_PKG_VERSION")));
+    }
+}
+
+#[test]
+fn version_begins_with_the_name_of_the_command() {
+    let place = Place::new();
+    for command in ["train", "simulate", "import", "replay"] {
+        let version = place.run(command, &["--version"]).out;
+        assert_eq!(version.trim_end(), format!("{command} {}", env!("CARGO_PKG_VERSION")));
     }
 }
 

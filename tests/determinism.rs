@@ -64,7 +64,7 @@ fn any_number_of_threads_makes_the_same_flow<const D: usize>() {
 fn evaluation<const D: usize>(scene: &Scene) -> Evaluation {
     let learn = scene.learn.clone().unwrap();
     let truth = Truth::<D>::generate(scene, (3, learn.frames)).unwrap();
-    let observations = truth.observations(scene, &learn);
+    let observations = truth.observations(scene, &learn).unwrap();
     let mut learner = Learner::new(scene, truth.states[0].clone(), observations).unwrap();
     let guess: Vec<f64> =
         learn.parameters.iter().map(|&p| 1.1 * scene.parameters().get(p)).collect();
@@ -77,13 +77,13 @@ fn any_number_of_threads_finds_the_same_gradient<const D: usize>() {
     scene.time.step = Step::KickDriftKick;
     scene.learn = Some(Learn {
         parameters: Parameter::ALL.to_vec(),
-        loss: Weights { trajectory: 1.0, field: 1.0 },
+        loss: Weights { trajectory: 1.0, field: 1.0, kl: 1.0 },
         frames: 4,
         windows: Vec::new(),
         ..Scene::shipped("inverse-3d").unwrap().learn.unwrap()
     });
     let all_bits = |e: &Evaluation| -> Vec<u64> {
-        let numbers = [e.loss, e.trajectory, e.field].into_iter();
+        let numbers = [e.loss, e.trajectory, e.field, e.kl].into_iter();
         numbers.chain(e.gradient.clone()).chain(e.normal.clone()).map(f64::to_bits).collect()
     };
     let one = on_threads(1, || evaluation::<D>(&scene));

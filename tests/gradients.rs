@@ -31,8 +31,8 @@ in_2d_and_3d!(
 
 const FRAMES: usize = 4;
 
-const TRAJECTORY: Weights = Weights { trajectory: 1.0, field: 0.0 };
-const FIELD: Weights = Weights { trajectory: 0.0, field: 1.0 };
+const TRAJECTORY: Weights = Weights { trajectory: 1.0, field: 0.0, kl: 0.0 };
+const FIELD: Weights = Weights { trajectory: 0.0, field: 1.0, kl: 0.0 };
 
 /// A small disordered flow that learns all that acts on it.
 fn scene<const D: usize>(step: Step, forcing: &Forcing, loss: Weights) -> Scene {
@@ -69,7 +69,7 @@ fn learner<const D: usize>(scene: &Scene) -> Learner<D> {
         flow.step().unwrap();
         truth.keep(&mut flow);
     }
-    let observations = truth.observations(scene, &learn);
+    let observations = truth.observations(scene, &learn).unwrap();
     Learner::new(scene, truth.states[0].clone(), observations).unwrap()
 }
 
@@ -77,7 +77,7 @@ fn learner<const D: usize>(scene: &Scene) -> Learner<D> {
 fn guess(scene: &Scene) -> Vec<f64> {
     let factors = [1.06, 0.9, 1.15, 0.93, 1.2];
     let learned = scene.learn.as_ref().unwrap().parameters.iter();
-    learned.map(|&p| scene.parameters().get(p) * factors[p as usize]).collect()
+    learned.map(|&p| scene.parameters().get(p) * factors[p.index()]).collect()
 }
 
 /// The slope of the loss along `direction` from central differences, with the step at which it is
@@ -173,7 +173,7 @@ fn the_normal_matrix_is_that_of_the_gradients<const D: usize>() {
 }
 
 fn a_direction_has_the_slope_of_its_components<const D: usize>() {
-    let both = Weights { trajectory: 0.7, field: 1.3 };
+    let both = Weights { trajectory: 0.7, field: 1.3, kl: 0.0 };
     let scene = scene::<D>(Step::KickDriftKick, &FORCINGS[1].1, both);
     let mut learner = learner::<D>(&scene);
     let at = guess(&scene);
@@ -215,7 +215,7 @@ fn the_order_of_the_parameters_does_not_matter<const D: usize>() {
             // The same operations in another lane: the same bits.
             assert_eq!(
                 found.gradient[k].to_bits(),
-                truth.gradient[p as usize].to_bits(),
+                truth.gradient[p.index()].to_bits(),
                 "{order:?}"
             );
         }
@@ -235,9 +235,10 @@ fn with_fixed<const D: usize>(
     let (loss, count) = (flow.loss(), flow.columns().len());
     Evaluation {
         parameters: Vec::new(),
-        loss: loss.trajectory.value + loss.field.value,
+        loss: loss.value(),
         trajectory: loss.trajectory.value,
         field: loss.field.value,
+        kl: loss.kl.value,
         gradient: loss.field.gradient(count),
         normal: loss.field.normal(count),
     }

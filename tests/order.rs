@@ -37,7 +37,7 @@ fn flow<const D: usize>(scene: &Scene, (differentiate, observe): (bool, bool)) -
             truth.keep(&mut flow);
             flow.step().unwrap();
         }
-        truth.observations(scene, &scene.learn.clone().unwrap())
+        truth.observations(scene, &scene.learn.clone().unwrap()).unwrap()
     });
     Flow::build(scene, &state, differentiate.then_some(&by), observations).unwrap()
 }

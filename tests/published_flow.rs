@@ -119,7 +119,7 @@ fn the_parameters_that_made_the_published_flow_are_learned_from_it() {
     let Some(truth) = published() else { return };
     let scene = scene();
     let learn = scene.learn.clone().unwrap();
-    let observations = truth.observations(&scene, &learn);
+    let observations = truth.observations(&scene, &learn).unwrap();
     let mut learner = Learner::new(&scene, truth.states[0].clone(), observations).unwrap();
     let guess = learner.guess(3);
     assert!(guess.iter().all(|x| (0.0..1.0).contains(x)), "{guess:?}");

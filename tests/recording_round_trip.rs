@@ -127,6 +127,7 @@ fn every_value_read_back_is_the_value_written() {
         gradients: AWKWARD.to_vec(),
         truth: AWKWARD.to_vec(),
         log10_error: AWKWARD.to_vec(),
+        loss_kl: x,
     };
     let kept = |x: f64| Conservation {
         step: u64::MAX,

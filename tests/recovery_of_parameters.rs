@@ -23,7 +23,7 @@ fn home<const D: usize>(name: &str, seeds: std::ops::Range<u64>) -> usize {
     let scene = Scene::shipped(name).unwrap();
     let learn = scene.learn.clone().unwrap();
     let truth = Truth::<D>::generate(&scene, (learn.after, learn.frames)).unwrap();
-    let observations = truth.observations(&scene, &learn);
+    let observations = truth.observations(&scene, &learn).unwrap();
     let mut learner = Learner::new(&scene, truth.states[0].clone(), observations).unwrap();
     println!("{name}\n seed  iterations  first loss  last loss  largest error");
     let mut home = 0;

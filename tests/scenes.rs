@@ -7,7 +7,7 @@ mod common;
 
 use whirls::forcing::Power;
 use whirls::models::Parameter;
-use whirls::scene::{Forcing, KernelName, Optimiser, SHIPPED};
+use whirls::scene::{Forcing, Increments, KernelName, Optimiser, SHIPPED, Times};
 use whirls::systems::verlet::Step;
 use whirls::{Error, Scene};
 
@@ -148,6 +148,9 @@ fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
         ("learn.windows=[0,2]", &["learn.windows", "[0, 2]"]),
         ("learn.windows=[3,11]", &["learn.windows", "learn.frames", "[3, 11]"]),
         ("learn.guess.beta=1.0", &["learn.guess", "learned parameters only", "beta"]),
+        ("learn.loss.kl=-1.0", &["learn.loss", "zero or more", "kl -1"]),
+        ("learn.loss.kl=1.0", &["learn.optimiser", "not a sum of squares", "levenberg"]),
+        ("learn.increments.nodes=15", &["learn.increments.nodes", "at least 16", "15"]),
         ("learn.loss.field=-1.0", &["learn.loss", "zero or more", "-1"]),
         ("learn.loss={trajectory=0.0,field=0.0}", &["learn.loss", "one of them positive"]),
         ("learn.optimiser={kind='adam',rate=0.0}", &["learn.optimiser", "positive rate"]),
@@ -286,6 +289,8 @@ fn every_optional_table_survives_being_written_out() {
                 scene.forcing = forcing.clone();
                 scene.time.dt = Some(0.1 + 0.2);
                 scene.learn.as_mut().unwrap().mesh = Some(12);
+                scene.learn.as_mut().unwrap().increments =
+                    Increments { times: Times::All, nodes: 300 };
                 scene.learn.as_mut().unwrap().guess.insert("c".to_owned(), 1.0 / 3.0);
                 assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
                 scene.learn = None;

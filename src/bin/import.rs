@@ -15,7 +15,7 @@ use whirls::{Error, Result};
 /// Makes a recording of .npy arrays [frames, particles, dimension], to learn from with
 /// `train SCENE --truth FILE.mcap`.
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "import", version)]
 struct Arguments {
     /// Positions, [frames, particles, 2 or 3], f32 or f64, C or Fortran order.
     #[arg(long, value_name = "r.npy")]

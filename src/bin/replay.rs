@@ -13,7 +13,7 @@ use whirls::{Error, Result};
 ///
 /// Without any option the recording is opened in the Rerun viewer (`pip install rerun-sdk==0.36.3`).
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "replay", version)]
 struct Arguments {
     /// Recordings that `train` or `simulate` wrote; each becomes one recording of the viewer.
     #[arg(required = true, value_name = "FILE.mcap")]

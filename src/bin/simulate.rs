@@ -20,7 +20,7 @@ use whirls::{Error, Flow, Result, Scene};
 
 /// Runs the flow of a scene forward and records it.
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "simulate", version)]
 struct Arguments {
     /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
     #[arg(default_value = "inverse-3d")]

@@ -1,11 +1,14 @@
 //! `train`: learns the law of a flow from its moving particles.
 
 mod common;
+#[path = "train/floor.rs"]
+mod floor;
 #[path = "common/scene.rs"]
 mod scene;
 
 use clap::Parser;
 use common::{conclude, say, say_json};
+use floor::floor;
 use scene::{SceneArguments, explain, in_dimension, progress};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -23,7 +26,7 @@ use whirls::{Error, Flow, Result, Scene};
 
 /// Learns the law of a flow from its moving particles, and records truth, search and learned flow.
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "train", version)]
 struct Arguments {
     /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
     #[arg(default_value = "inverse-3d")]
@@ -40,6 +43,9 @@ struct Arguments {
     /// Compare forward gradient, adjoint and central differences at the first guess, and stop.
     #[arg(long)]
     check_gradient: bool,
+    /// Do not measure the sampling floor of the statistical loss, which takes two more runs of the truth.
+    #[arg(long)]
+    no_floor: bool,
     /// Show truth and search in a Rerun viewer once recorded (needs the feature `viewer`).
     #[arg(long)]
     live: bool,
@@ -62,6 +68,17 @@ struct Report {
     truth: Option<BTreeMap<String, f64>>,
     seconds: Seconds,
     recording: PathBuf,
+    losses: Losses,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kl_floor: Option<f64>,
+}
+
+/// The parts of the final loss.
+#[derive(Serialize)]
+struct Losses {
+    trajectory: f64,
+    field: f64,
+    kl: f64,
 }
 
 #[derive(Serialize)]
@@ -99,7 +116,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         ));
     }
     let lesson = lesson::<D>(arguments, scene)?;
-    let observations = lesson.truth.observations(scene, &lesson.learn);
+    let observations = lesson.truth.observations(scene, &lesson.learn)?;
     let mut learner = Learner::new(scene, lesson.truth.states[0].clone(), observations)?;
     let guess = first_guess(arguments, scene, &learner)?;
     if arguments.common.explain {
@@ -123,6 +140,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     }
     let text = format!("learning {} from {} steps", what(&learner), lesson.learn.frames);
     recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
+    let kl_floor = floor(arguments, scene, &lesson, &mut recorder)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
     let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
@@ -140,6 +158,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let outcome = outcome?;
     let train = clock.elapsed().as_secs_f64();
     let report = report(scene, (&lesson, &learner), &outcome, (train, path));
+    let report = Report { kl_floor, ..report };
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -230,6 +249,7 @@ fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> 
         loss: evaluation.loss,
         loss_trajectory: evaluation.trajectory,
         loss_field: evaluation.field,
+        loss_kl: evaluation.kl,
         gradient_norm: evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
         learning_rate_or_damping: iteration.rate,
         window: iteration.window as u64,
@@ -277,6 +297,12 @@ fn report<const D: usize>(
         truth: lesson.known.as_deref().map(named),
         seconds: Seconds { truth: lesson.seconds, train },
         recording,
+        losses: Losses {
+            trajectory: outcome.evaluation.trajectory,
+            field: outcome.evaluation.field,
+            kl: outcome.evaluation.kl,
+        },
+        kl_floor: None,
     }
 }
 
@@ -291,6 +317,14 @@ fn describe(report: &Report) {
         report.iterations,
         report.seconds.train
     ));
+    let Losses { trajectory, field, kl } = report.losses;
+    let parts = [("trajectory", trajectory), ("field", field), ("kl", kl)].into_iter();
+    let mut parts: Vec<_> = parts.filter(|(_, loss)| loss.abs() > 0.0).collect();
+    parts.extend(report.kl_floor.map(|floor| ("sampling floor of kl", floor)));
+    if parts.len() > 1 {
+        let parts = parts.iter().map(|(name, loss)| format!("{name} {loss:.2e}"));
+        say(format!("  {}", parts.collect::<Vec<_>>().join(", ")));
+    }
     let physical = Parameter::ALL.map(|p| p.name());
     let weights = report.parameters.keys().filter(|name| !physical.contains(&name.as_str().into()));
     match weights.count() {
@@ -320,7 +354,7 @@ fn check_gradient<const D: usize>(scene: &Scene, lesson: &Lesson<D>, guess: &[f6
             learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
             learn.gradient = gradient;
         }
-        let observations = lesson.truth.observations(&scene, &lesson.learn);
+        let observations = lesson.truth.observations(&scene, &lesson.learn)?;
         let mut learner = Learner::new(&scene, lesson.truth.states[0].clone(), observations)?;
         learner.evaluate(guess, frames)?;
         let clock = Instant::now();

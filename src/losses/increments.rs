@@ -13,8 +13,8 @@ const FLOOR: f64 = 1e-12;
 const FLOOR_WIDENING: f64 = 0.01;
 /// Smallest spread of the truth, as a share of `1 + max |x|`.
 const SMALLEST_SPREAD: f64 = 1e-9;
-/// Fewest nodes.
-const FEWEST_NODES: usize = 16;
+/// Fewest nodes of a density.
+pub const FEWEST_NODES: usize = 16;
 
 /// The density of the true increments of one component, by Gaussian kernels, ready to be compared with.
 ///

@@ -3,15 +3,18 @@
 //! [`trajectory_loss`] and [`field_loss`] are sums of squares; each observed frame adds its residuals `R` and their
 //! derivatives `J = ∂R/∂θ` to one [`SquareSum`], which serves gradient descent (`2 Σ w R J`) and
 //! Levenberg–Marquardt (`Σ w J Jᵀ`) alike, in memory that does not grow with the number of residuals.
+//! [`statistical_loss`] is a divergence: a [`GradientSum`], for gradient descent only.
 
 mod field;
 mod increments;
+mod statistical;
 mod trajectory;
 
 pub use field::{Mesh, Points, field, field_adjoint, field_loss};
 pub use increments::{
-    Density1d, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
+    Density1d, FEWEST_NODES, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
 };
+pub use statistical::{statistical_adjoint, statistical_loss};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
 use crate::scalar::{Lanes, WIDTH};
@@ -112,6 +115,33 @@ impl SquareSum {
             lanes.iter().flat_map(|lanes| lanes.to_array()).take(count)
         };
         (0..count).flat_map(row).collect()
+    }
+}
+
+/// A weighted loss that is no sum of squares, with its gradient.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GradientSum {
+    /// The loss.
+    pub value: f64,
+    /// `∂value/∂θ`, in blocks of eight parameters.
+    gradient: Vec<Lanes>,
+}
+
+impl GradientSum {
+    /// An empty sum over `blocks` blocks of eight parameters.
+    pub fn new(blocks: usize) -> Self {
+        Self { value: 0.0, gradient: vec![Lanes::ZERO; blocks] }
+    }
+
+    /// Adds another sum.
+    pub fn merge(&mut self, other: &Self) {
+        self.value += other.value;
+        self.gradient.iter_mut().zip(&other.gradient).for_each(|(a, b)| *a += *b);
+    }
+
+    /// `∂value/∂θ` of the first `count` parameters.
+    pub fn gradient(&self, count: usize) -> Vec<f64> {
+        self.gradient.iter().flat_map(|lanes| lanes.to_array()).take(count).collect()
     }
 }
 

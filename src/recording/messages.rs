@@ -206,6 +206,10 @@ pub struct TrainStep {
     /// log₁₀ of each parameter's relative error; empty when the truth is not known.
     #[prost(double, repeated, tag = "12")]
     pub log10_error: Vec<f64>,
+    /// The loss's part from the statistics of velocity increments; zero in recordings that are older
+    /// than it.
+    #[prost(double, required, tag = "13")]
+    pub loss_kl: f64,
 }
 
 impl TrainStep {

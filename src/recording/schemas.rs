@@ -158,6 +158,7 @@ fn train_step() -> DescriptorProto {
         many("gradients", 10, Type::Double),
         many("truth", 11, Type::Double),
         many("log10_error", 12, Type::Double),
+        one("loss_kl", 13, Type::Double),
     ];
     message("TrainStep", fields)
 }

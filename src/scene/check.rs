@@ -1,7 +1,8 @@
 //! What a scene must satisfy beyond its types.
 
-use super::{Forcing, Learn, Optimiser, Scene};
+use super::{Forcing, Learn, Optimiser, Scene, Weights};
 use crate::error::{Error, Result};
+use crate::losses::FEWEST_NODES;
 use crate::models::{ModelChoice, Parameter};
 use crate::sensitivity::{Coupling, Gradient};
 
@@ -15,6 +16,7 @@ impl Scene {
         requirements.extend(self.motion_requirements());
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
+            requirements.extend(loss_requirements(learn));
             let learns_theta = learn.parameters.contains(&Parameter::Theta);
             let forced = matches!(self.forcing, Forcing::Deterministic { .. });
             requirements.push((
@@ -125,7 +127,6 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     let mut sorted = learn.parameters.clone();
     sorted.sort_unstable();
     sorted.dedup();
-    let weights = learn.loss;
     let ordered = learn.windows.windows(2).all(|pair| pair[0] < pair[1]);
     let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
     let adjoint = learn.gradient == Gradient::Adjoint;
@@ -149,15 +150,6 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
         ),
         (learn.frames > 0, "learn.frames", "at least one observed frame", "0".to_owned()),
         (
-            weights.trajectory >= 0.0
-                && weights.field >= 0.0
-                && positive(weights.trajectory + weights.field),
-            "learn.loss",
-            "weights of zero or more, one of them positive",
-            format!("trajectory {}, field {}", weights.trajectory, weights.field),
-        ),
-        (learn.mesh != Some(0), "learn.mesh", "at least one node a side", "0".to_owned()),
-        (
             ordered && learn.windows.iter().all(|&w| w > 0 && w <= learn.frames),
             "learn.windows",
             "growing numbers of frames between 1 and learn.frames",
@@ -177,6 +169,33 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
         ),
         (positive(rate), "learn.optimiser", "a positive rate or damping", format!("{rate}")),
         (learn.target >= 0.0, "learn.target", "zero or more", format!("{}", learn.target)),
+    ]
+}
+
+fn loss_requirements(learn: &Learn) -> Vec<Requirement> {
+    let Weights { trajectory, field, kl } = learn.loss;
+    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+    vec![
+        (
+            [trajectory, field, kl].iter().all(|&weight| weight >= 0.0)
+                && positive(trajectory + field + kl),
+            "learn.loss",
+            "weights of zero or more, one of them positive",
+            format!("trajectory {trajectory}, field {field}, kl {kl}"),
+        ),
+        (learn.mesh != Some(0), "learn.mesh", "at least one node a side", "0".to_owned()),
+        (
+            learn.increments.nodes >= FEWEST_NODES,
+            "learn.increments.nodes",
+            "at least 16 nodes (200 are the paper's)",
+            learn.increments.nodes.to_string(),
+        ),
+        (
+            !(second_order && kl > 0.0),
+            "learn.optimiser",
+            "\"adam\" or \"rmsprop\" with learn.loss.kl, whose loss is not a sum of squares",
+            "\"levenberg-marquardt\"".to_owned(),
+        ),
     ]
 }
 

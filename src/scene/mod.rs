@@ -164,6 +164,9 @@ pub struct Learn {
     /// Nodes of the field's mesh along each axis; as many as particles where it is not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<usize>,
+    /// Which velocity increments the statistical loss compares, and how.
+    #[serde(default)]
+    pub increments: Increments,
     /// How the gradient is found; all ways agree to round-off.
     #[serde(default)]
     pub gradient: Gradient,
@@ -196,11 +199,51 @@ pub struct Weights {
     pub trajectory: f64,
     /// Of the field loss.
     pub field: f64,
+    /// Of the statistical loss, which is no sum of squares.
+    pub kl: f64,
 }
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { trajectory: 0.0, field: 1.0 }
+        Self { trajectory: 0.0, field: 1.0, kl: 0.0 }
+    }
+}
+
+/// What the statistical loss compares: velocity increments `δu(τ) = u(τ) − u(0)`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Increments {
+    /// Which times `τ` count.
+    pub times: Times,
+    /// Nodes at which two densities are compared.
+    pub nodes: usize,
+}
+
+impl Default for Increments {
+    /// The paper's: the last time, 200 nodes.
+    fn default() -> Self {
+        Self { times: Times::Last, nodes: 200 }
+    }
+}
+
+/// The times of which increments count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Times {
+    /// The last frame of the window (default).
+    #[default]
+    Last,
+    /// Every frame of the window: the integral over time, `Σ dt L_kl`.
+    All,
+}
+
+impl Learn {
+    /// Weight of each frame that counts in the statistical loss, at a time step `dt`.
+    pub fn statistical_weight(&self, dt: f64) -> f64 {
+        match self.increments.times {
+            Times::Last => self.loss.kl,
+            Times::All => self.loss.kl * dt,
+        }
     }
 }
 
