@@ -3,11 +3,11 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-use whirls::flow::{Differentiation, Flow};
+use whirls::flow::{Differentiation, Flow, Snapshot};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
 use whirls::scene::{Scene, Weights};
-use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
+use whirls::sensitivity::{AdjointGradient, Coupling, Storage, adjoint_gradient};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 
@@ -115,6 +115,54 @@ fn checkpoints_give_the_bits_of_full_storage() {
     }
 }
 
+/// The way back with a storage, from parameters off the truth.
+fn backward(scene: &Scene, storage: Storage) -> whirls::Result<AdjointGradient> {
+    let learn = scene.learn.clone().unwrap();
+    let truth = Truth::<3>::generate(scene, (learn.after, learn.frames)).unwrap();
+    let observations = truth.observations(scene, &learn).unwrap();
+    let mut flow = Flow::<3>::with_adjoint(scene, &truth.states[0], observations).unwrap();
+    let mut guess = scene.parameters();
+    guess.0[0] *= 0.8;
+    flow.set_parameters(guess);
+    adjoint_gradient(&mut flow, &truth.states[0], learn.frames as u64, storage)
+}
+
+#[test]
+fn a_budget_of_bytes_is_kept_and_gives_the_bits_of_full_storage() {
+    for step in Step::ALL {
+        let mut scene = scene(3, step, "paper", Weights { trajectory: 1.0, field: 1.0, kl: 1.0 });
+        // Lists that are built anew almost every step.
+        scene.time.skin = 0.05;
+        if let Some(learn) = &mut scene.learn {
+            learn.frames = 14;
+        }
+        let all = backward(&scene, Storage::All).unwrap();
+        let refused = backward(&scene, Storage::Bytes(1000)).unwrap_err();
+        assert_eq!(refused.exit_code(), 2);
+        let text = refused.to_string();
+        let (_, smallest) = text.split_once("at least ").unwrap();
+        let smallest: usize = smallest.split(' ').next().unwrap().parse().unwrap();
+        backward(&scene, Storage::Bytes(smallest - 1)).unwrap_err();
+        let snapshot = Snapshot::<3>::BYTES * 512;
+        let mut steps_run = u64::MAX;
+        for (more, snapshots) in [(0, 1), (snapshot - 1, 1), (snapshot, 2), (4 * snapshot, 5)] {
+            let found = backward(&scene, Storage::Bytes(smallest + more)).unwrap();
+            let counted = backward(&scene, Storage::Checkpoints(snapshots)).unwrap();
+            assert_eq!(found.gradient.0.map(f64::to_bits), all.gradient.0.map(f64::to_bits));
+            assert_eq!((found.steps_run, found.bytes), (counted.steps_run, counted.bytes));
+            assert!(found.bytes <= smallest + more && found.bytes < all.bytes, "{step:?} {more}");
+            assert!(found.steps_run <= steps_run);
+            steps_run = found.steps_run;
+            println!(
+                "{step:?}: {} of {} bytes for {snapshots} snapshots, {steps_run} steps; all {}",
+                found.bytes,
+                smallest + more,
+                all.bytes
+            );
+        }
+    }
+}
+
 #[test]
 fn a_search_by_adjoint_follows_the_search_by_forward_gradients() {
     let search = |gradient: &str, storage: &str| {
@@ -141,7 +189,11 @@ fn a_search_by_adjoint_follows_the_search_by_forward_gradients() {
         learner.run(guess, &mut |_| Ok(())).unwrap().evaluation
     };
     let forward = search("forward", "all");
-    for found in [search("adjoint", "all"), search("adjoint", "{checkpoints=2}")] {
+    for found in [
+        search("adjoint", "all"),
+        search("adjoint", "{checkpoints=2}"),
+        search("adjoint", "{bytes=4000000}"),
+    ] {
         assert!((found.loss - forward.loss).abs() < 1e-10 * forward.loss);
         for (a, b) in found.parameters.iter().zip(&forward.parameters) {
             assert!((a - b).abs() < 1e-10, "{a} against {b}");

@@ -1,13 +1,15 @@
 //! The adjoint of a run of steps: all parameters at the price of one way back.
 //!
 //! The way back needs every force evaluation. With [`Storage::All`] they are kept; with
-//! [`Storage::Checkpoints`] only a few snapshots are, and the steps between them are run again, split
-//! by binomial coefficients (Griewank & Walther 2000, `revolve`), which needs the fewest repetitions.
-//! Both run the same operations on the same numbers and give the same bits.
+//! [`Storage::Checkpoints`] and [`Storage::Bytes`] only a few snapshots are, and the steps between them
+//! are run again, split by binomial coefficients (Griewank & Walther 2000, `revolve`), which needs the
+//! fewest repetitions. All run the same operations on the same numbers and give the same bits.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flow::{Flow, Snapshot, State};
 use crate::systems::loss::LossSum;
+use crate::systems::neighbours::{Chunk, Neighbours};
+use crate::systems::verlet::Integrator;
 use serde::{Deserialize, Serialize};
 
 /// What is kept on the way forward.
@@ -19,6 +21,8 @@ pub enum Storage {
     All,
     /// At most this many snapshots and one step: repeated steps instead of memory.
     Checkpoints(usize),
+    /// As many snapshots as fit into this many bytes beside one step: the same, by memory.
+    Bytes(usize),
 }
 
 /// A loss with its gradient by all physical parameters.
@@ -37,7 +41,8 @@ pub struct AdjointGradient {
 /// Runs `flow` (built with [`Flow::with_adjoint`]) from `state` over `steps` steps, and back.
 ///
 /// # Errors
-/// [`crate::Error::Diverged`] from the way forward.
+/// [`Error::Diverged`] from the way forward, and [`Error::Input`] where [`Storage::Bytes`] has no room
+/// for one snapshot and one step.
 pub fn adjoint_gradient<const D: usize>(
     flow: &mut Flow<D>,
     state: &State<D>,
@@ -46,14 +51,32 @@ pub fn adjoint_gradient<const D: usize>(
 ) -> Result<AdjointGradient> {
     flow.reset(state);
     flow.clear_adjoint();
-    let mut run = Run { flow, steps_run: 0, bytes: 0, particles: state.positions.len() };
+    let particles = state.positions.len();
+    let mut run = Run { flow, steps_run: 0, bytes: 0, particles, held: 0 };
     let loss = match storage {
         Storage::All => run.with_everything(steps)?,
-        Storage::Checkpoints(snapshots) => run.with_checkpoints(steps, snapshots.max(1))?,
+        Storage::Checkpoints(snapshots) => run.with_checkpoints(steps, |_| Ok(snapshots.max(1)))?,
+        Storage::Bytes(budget) => {
+            let snapshot = Snapshot::<D>::BYTES * particles;
+            run.with_checkpoints(steps, |tape| snapshots_within(budget, tape, snapshot))?
+        }
     };
     let Run { flow, steps_run, bytes, .. } = run;
     flow.keep_evaluations(false);
     Ok(AdjointGradient { loss, gradient: flow.adjoint_gradient(), steps_run, bytes })
+}
+
+/// How many snapshots fit into a budget beside the tape of one step; all in bytes.
+fn snapshots_within(budget: usize, tape: usize, snapshot: usize) -> Result<usize> {
+    if budget < tape + snapshot {
+        return Err(Error::input(
+            "learn.storage",
+            format!("at least {} bytes, for one snapshot and one step", tape + snapshot),
+            format!("{budget} bytes"),
+            "give it more, or learn from fewer particles",
+        ));
+    }
+    Ok((budget - tape) / snapshot)
 }
 
 struct Run<'a, const D: usize> {
@@ -61,6 +84,8 @@ struct Run<'a, const D: usize> {
     steps_run: u64,
     bytes: usize,
     particles: usize,
+    /// Snapshots now held.
+    held: usize,
 }
 
 impl<const D: usize> Run<'_, D> {
@@ -75,15 +100,23 @@ impl<const D: usize> Run<'_, D> {
         Ok(self.flow.loss())
     }
 
-    fn with_checkpoints(&mut self, steps: u64, snapshots: usize) -> Result<LossSum> {
+    /// With as many snapshots as `room` gives to a run that needs so many bytes for its tape.
+    fn with_checkpoints(
+        &mut self,
+        steps: u64,
+        room: impl FnOnce(usize) -> Result<usize>,
+    ) -> Result<LossSum> {
         // The first evaluation stays on the tape: its adjoint comes last.
         self.flow.keep_evaluations(true);
         self.flow.start()?;
         self.flow.keep_evaluations(false);
+        let (tape, lists) = (self.flow.tape_bytes(), self.list_bytes());
         let first = self.flow.snapshot();
+        self.held = 1;
         self.flow.advance_by(steps)?;
         self.steps_run += steps;
         let loss = self.flow.loss();
+        let snapshots = room(tape + self.step_bytes(&lists))?;
         self.flow.restore(&first);
         self.reverse(&first, steps, snapshots)?;
         self.flow.back_to_start();
@@ -91,29 +124,56 @@ impl<const D: usize> Run<'_, D> {
         Ok(loss)
     }
 
+    /// Bytes of the neighbour lists as they stand, chunk by chunk.
+    fn list_bytes(&self) -> Vec<usize> {
+        let neighbours = self.flow.world().resource::<Neighbours<D>>();
+        neighbours.chunks.iter().map(Chunk::bytes).collect()
+    }
+
+    /// Most bytes that one step adds to the tape, at the end of a way forward that began with `lists`:
+    /// a chunk's list keeps its room on the way, and so has at the end the most that it ever took.
+    fn step_bytes(&self, lists: &[usize]) -> usize {
+        let most = self.list_bytes().into_iter().zip(lists).map(|(end, &start)| end.max(start));
+        let lists: usize = most.sum();
+        let evaluation = 64 * (self.particles + 1) + 4 * self.particles + lists;
+        let refreshes = self.flow.world().resource::<Integrator>().step.refreshes();
+        let frame = 16 * D * self.particles;
+        evaluation * if refreshes { 2 } else { 1 } + frame
+    }
+
     /// Runs the adjoint of `steps` steps from a snapshot that the flow now stands at, with room for
     /// `snapshots` snapshots, that one included.
     fn reverse(&mut self, from: &Snapshot<D>, steps: u64, snapshots: usize) -> Result<()> {
-        let held = (snapshots.max(1)) * Snapshot::<D>::BYTES * self.particles;
-        if steps == 0 {
-            return Ok(());
-        }
-        if steps == 1 {
-            self.flow.keep_evaluations(true);
-            self.flow.step()?;
-            self.flow.keep_evaluations(false);
-            self.steps_run += 1;
-            self.bytes = self.bytes.max(self.flow.tape_bytes() + held);
-            self.flow.retreat();
-            return Ok(());
+        match steps {
+            0 => return Ok(()),
+            1 => return self.reverse_one(),
+            _ => {}
         }
         let ahead = if snapshots > 1 { split(steps, snapshots) } else { steps - 1 };
         self.flow.advance_by(ahead)?;
         self.steps_run += ahead;
-        let middle = self.flow.snapshot();
-        self.reverse(&middle, steps - ahead, snapshots.saturating_sub(1))?;
+        if steps - ahead == 1 {
+            self.reverse_one()?;
+        } else {
+            let middle = self.flow.snapshot();
+            self.held += 1;
+            self.reverse(&middle, steps - ahead, snapshots - 1)?;
+            self.held -= 1;
+        }
         self.flow.restore(from);
         self.reverse(from, ahead, snapshots)
+    }
+
+    /// Runs the adjoint of the next step.
+    fn reverse_one(&mut self) -> Result<()> {
+        self.flow.keep_evaluations(true);
+        self.flow.step()?;
+        self.flow.keep_evaluations(false);
+        self.steps_run += 1;
+        let snapshots = self.held * Snapshot::<D>::BYTES * self.particles;
+        self.bytes = self.bytes.max(self.flow.tape_bytes() + snapshots);
+        self.flow.retreat();
+        Ok(())
     }
 }
 
