@@ -3,7 +3,7 @@
 use crate::flow::Flow;
 use crate::models::{Parameter, Parameters};
 use crate::recording::Conservation;
-use crate::state::internal_energy;
+use crate::state::{internal_energy, tait};
 use crate::systems::acceleration::{Law, model_accelerations};
 use crate::systems::forcing::external_forces;
 use crate::systems::neighbours::Neighbours;
@@ -56,6 +56,24 @@ pub fn momentum<const D: usize>(mass: f64, velocities: &[Vector<f64, D>]) -> Vec
     let mut sum = Vector::zero();
     velocities.iter().for_each(|&v| sum += v);
     sum * mass
+}
+
+/// The largest difference of a flow's pressure from Tait's with `parameters`, over the densities from
+/// `lowest` to `highest`, as a share of the largest pressure there.
+pub fn pressure_error<const D: usize>(
+    flow: &Flow<D>,
+    parameters: &Parameters<f64>,
+    (lowest, highest): (f64, f64),
+) -> f64 {
+    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
+    let (mut apart, mut largest) = (0.0_f64, 0.0_f64);
+    for k in 0..=200 {
+        let rho = lowest + (highest - lowest) * f64::from(k) / 200.0;
+        let truth = tait(rho, c, gamma);
+        apart = apart.max((flow.pressure(rho) - truth).abs());
+        largest = largest.max(truth.abs());
+    }
+    apart / largest
 }
 
 /// Everything that `/diag/conservation` records of a flow as it stands.

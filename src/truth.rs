@@ -42,6 +42,12 @@ impl<const D: usize> Truth<D> {
         Ok(truth)
     }
 
+    /// The lowest and the highest density of any particle in any state.
+    pub fn densities_seen(&self) -> (f64, f64) {
+        let all = self.densities.iter().flatten();
+        all.fold((f64::INFINITY, 0.0), |(low, high), &rho| (rho.min(low), rho.max(high)))
+    }
+
     /// Keeps the state that a flow is in.
     pub fn keep(&mut self, flow: &mut Flow<D>) {
         self.states.push(flow.state());

@@ -8,7 +8,7 @@ use bevy_ecs::prelude::*;
 use common::{FORCINGS, shaken};
 use whirls::flow::{Differentiation, State};
 use whirls::models::Parameter;
-use whirls::scene::{Forcing, SHIPPED};
+use whirls::scene::{Forcing, SHIPPED, Shipped};
 use whirls::sensitivity::Coupling;
 use whirls::systems::Phase;
 use whirls::systems::particles::{Position, Velocity};
@@ -43,7 +43,7 @@ fn flow<const D: usize>(scene: &Scene, (differentiate, observe): (bool, bool)) -
 }
 
 fn every_flow<const D: usize>(check: impl Fn(&str, &mut Flow<D>)) {
-    for (name, _) in SHIPPED {
+    for Shipped { name, .. } in SHIPPED {
         for step in Step::ALL {
             for (forcing_name, forcing) in FORCINGS {
                 for parts in [(false, false), (true, false), (false, true), (true, true)] {
@@ -222,8 +222,8 @@ const LEARN: &[&str] = &[
 
 #[test]
 fn the_systems_of_the_shipped_scenes_are_these_in_this_order() {
-    for (name, text) in SHIPPED {
-        let scene = Scene::parse(text, name, &[]).unwrap();
+    for Shipped { name, .. } in SHIPPED {
+        let scene = Scene::shipped(name).unwrap();
         let scene = if scene.dimension == 2 { small::<2>(name) } else { small::<3>(name) };
         assert_eq!(names(&scene, (false, false)), SIMULATE, "simulate {name}");
         assert_eq!(names(&scene, (true, true)), LEARN, "train {name}");

@@ -21,6 +21,7 @@ use whirls::recording::{self, Level, Recorder, Recording, TrainStep};
 use whirls::run::{frame, run_info, run_recorded, truth_from_recording};
 use whirls::scene::{Learn, Optimiser};
 use whirls::sensitivity::{ComparedSlope, Gradient, compare_with_differences};
+use whirls::statistics::pressure_error;
 use whirls::truth::Truth;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -28,7 +29,8 @@ use whirls::{Error, Flow, Result, Scene};
 #[derive(Parser)]
 #[command(name = "train", version)]
 struct Arguments {
-    /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
+    /// A shipped scene (inverse-3d, inverse-3d-forcing, or node, nn-sum, rot-inv, grad-p, eos-nn, physics
+    /// with -3d; each with -2d, too) or a .toml file.
     #[arg(default_value = "inverse-3d")]
     scene: String,
     /// Learn from the true particles of a recording instead of a flow generated on the spot.
@@ -71,6 +73,9 @@ struct Report {
     losses: Losses,
     #[serde(skip_serializing_if = "Option::is_none")]
     kl_floor: Option<f64>,
+    /// Largest difference of a learned pressure from the true one, over the densities seen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pressure_error: Option<f64>,
 }
 
 /// The parts of the final loss.
@@ -116,8 +121,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         ));
     }
     let lesson = lesson::<D>(arguments, scene)?;
-    let observations = lesson.truth.observations(scene, &lesson.learn)?;
-    let mut learner = Learner::new(scene, lesson.truth.states[0].clone(), observations)?;
+    let mut learner = Learner::of_truth(scene, &lesson.truth)?;
     let guess = first_guess(arguments, scene, &learner)?;
     if arguments.common.explain {
         learner.evaluate(&guess, 1)?;
@@ -138,16 +142,18 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     {
         recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
     }
-    let text = format!("learning {} from {} steps", what(&learner), lesson.learn.frames);
+    let (what, gradient) = (what(&learner), learner.gradient().name());
+    let text = format!("learning {what} from {} steps, gradient: {gradient}", lesson.learn.frames);
     recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
     let kl_floor = floor(arguments, scene, &lesson, &mut recorder)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
     let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
-        record_learned(scene, (&lesson, &learner), &outcome, &mut recorder).map(|()| outcome)
+        record_learned(scene, (&lesson, &learner), &outcome, &mut recorder)
+            .map(|error| (outcome, error))
     });
     let (level, text) = match &outcome {
-        Ok(o) => (
+        Ok((o, _)) => (
             Level::Info,
             format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations),
         ),
@@ -155,10 +161,10 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     };
     recorder.log(level, lesson.truth.states.last().map_or(0.0, |s| s.time), text)?;
     recorder.finish()?;
-    let outcome = outcome?;
+    let (outcome, pressure_error) = outcome?;
     let train = clock.elapsed().as_secs_f64();
     let report = report(scene, (&lesson, &learner), &outcome, (train, path));
-    let report = Report { kl_floor, ..report };
+    let report = Report { kl_floor, pressure_error, ..report };
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -223,7 +229,8 @@ fn search<const D: usize>(
     lesson: &Lesson<D>,
     recorder: &mut Recorder,
 ) -> Result<Outcome> {
-    let bar = progress(lesson.learn.iterations as u64, "train");
+    let before = lesson.learn.warm_up.as_ref().map_or(0, |warm_up| warm_up.iterations);
+    let bar = progress((before + lesson.learn.iterations) as u64, "train");
     let start = lesson.truth.states[0].time;
     let outcome = learner.run(guess, &mut |iteration: &Iteration<'_>| {
         bar.inc(1);
@@ -261,17 +268,22 @@ fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> 
     .with_logarithms()
 }
 
-/// Runs the learned flow once more, and records it beside the truth.
+/// Runs the learned flow once more, and records it beside the truth; returns how far a learned
+/// pressure is from the true one.
 fn record_learned<const D: usize>(
     scene: &Scene,
     (lesson, learner): (&Lesson<D>, &Learner<D>),
     outcome: &Outcome,
     recorder: &mut Recorder,
-) -> Result<()> {
+) -> Result<Option<f64>> {
     let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
     flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
     let steps = (lesson.learn.frames as u64, scene.record.every);
-    run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})
+    run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
+    // A learned equation of state can be held against the true one.
+    let learned = flow.model().has_stress_network() && lesson.known.is_some();
+    let seen = lesson.truth.densities_seen();
+    Ok(learned.then(|| pressure_error(&flow, &scene.parameters(), seen)))
 }
 
 fn report<const D: usize>(
@@ -303,18 +315,20 @@ fn report<const D: usize>(
             kl: outcome.evaluation.kl,
         },
         kl_floor: None,
+        pressure_error: None,
     }
 }
 
 fn describe(report: &Report) {
     say(format!(
-        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations ({:.1} s)",
+        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations, gradient {} ({:.1} s)",
         report.scene,
         report.particles,
         report.steps,
         report.loss_initial,
         report.loss_final,
         report.iterations,
+        report.gradient,
         report.seconds.train
     ));
     let Losses { trajectory, field, kl } = report.losses;
@@ -330,6 +344,9 @@ fn describe(report: &Report) {
     match weights.count() {
         0 => {}
         count => say(format!("  {} with {count} weights", report.model)),
+    }
+    if let Some(error) = report.pressure_error {
+        say(format!("  its pressure is within {:.2} % of the true one", 100.0 * error));
     }
     for (name, value) in &report.parameters {
         if !physical.contains(&name.as_str().into()) {

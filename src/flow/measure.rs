@@ -1,6 +1,8 @@
 //! What a flow can be asked: where it stands, what its particles do, what it holds.
 
 use super::{Flow, State};
+use crate::models::Room;
+use crate::scalar::{Lanes, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
@@ -64,6 +66,13 @@ impl<const D: usize> Flow<D> {
     /// Smoothing length `h`.
     pub fn smoothing_length(&self) -> f64 {
         self.model().smoothing().h
+    }
+
+    /// The pressure `P = A ρ²` that the model gives to a density; zero where it knows none.
+    pub fn pressure(&self, rho: f64) -> f64 {
+        let model = self.model();
+        let mut room = Room::new(model.network());
+        model.stress(Lanes::of(rho), &mut room).lane(0) * rho * rho
     }
 
     /// `Σ m a` per system at the last force evaluation.

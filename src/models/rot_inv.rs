@@ -118,6 +118,11 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
         &mut self.medium
     }
 
+    /// `c`: what the network makes of other densities is not known before it has learned.
+    fn sound_speed(&self, _: f64) -> f64 {
+        self.medium.parameters.0[0].abs()
+    }
+
     fn network(&self) -> Option<&Learned> {
         Some(&self.network)
     }

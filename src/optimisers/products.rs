@@ -73,6 +73,13 @@ impl Products {
         jacobian
     }
 
+    /// Gradient by the products, from that by the parameters.
+    pub fn pull_gradient_back(&self, parameters: &[f64], gradient: &[f64]) -> Vec<f64> {
+        let n = parameters.len();
+        let j = self.jacobian(parameters);
+        (0..n).map(|a| (0..n).map(|k| j[k * n + a] * gradient[k]).sum()).collect()
+    }
+
     /// Gradient and normal matrix by the products, from those by the parameters.
     pub fn pull_back(
         &self,
@@ -82,13 +89,17 @@ impl Products {
     ) -> (Vec<f64>, Vec<f64>) {
         let n = parameters.len();
         let j = self.jacobian(parameters);
-        let by_product = |a: usize| (0..n).map(|k| j[k * n + a] * gradient[k]).sum();
-        let entry = |a: usize, b: usize| -> f64 {
-            let inner = |k: usize| (0..n).map(|l| normal[k * n + l] * j[l * n + b]).sum::<f64>();
-            (0..n).map(|k| j[k * n + a] * inner(k)).sum()
+        let inner = |index: usize| -> f64 {
+            let (k, b) = (index / n, index % n);
+            (0..n).map(|l| normal[k * n + l] * j[l * n + b]).sum()
         };
-        let matrix = (0..n * n).map(|index| entry(index / n, index % n)).collect();
-        ((0..n).map(by_product).collect(), matrix)
+        let inner: Vec<f64> = (0..n * n).map(inner).collect();
+        let entry = |index: usize| -> f64 {
+            let (a, b) = (index / n, index % n);
+            (0..n).map(|k| j[k * n + a] * inner[k * n + b]).sum()
+        };
+        let matrix = (0..n * n).map(entry).collect();
+        (self.pull_gradient_back(parameters, gradient), matrix)
     }
 }
 

@@ -27,7 +27,10 @@ impl Scene {
             ));
         }
         match requirements.into_iter().find(|(holds, ..)| !holds) {
-            None => Ok(()),
+            None => match self.warm_up() {
+                Some(before) => before.check(&format!("{origin}: learn.warm_up")),
+                None => Ok(()),
+            },
             Some((_, key, expected, found)) => Err(Error::input(
                 format!("{origin}: {key}"),
                 expected,
@@ -132,6 +135,7 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     let adjoint = learn.gradient == Gradient::Adjoint;
     let rate = match learn.optimiser {
         Optimiser::LevenbergMarquardt { damping } => damping,
+        Optimiser::Lbfgs { length, .. } => length,
         Optimiser::Adam { rate, .. } | Optimiser::Rmsprop { rate, .. } => rate,
     };
     vec![

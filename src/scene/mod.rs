@@ -6,7 +6,7 @@
 mod check;
 mod read;
 
-pub use read::SHIPPED;
+pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
@@ -179,6 +179,9 @@ pub struct Learn {
     /// How the loss is brought down.
     #[serde(default)]
     pub optimiser: Optimiser,
+    /// A search before this one, by another loss or optimiser; its end is where this one starts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warm_up: Option<WarmUp>,
     /// Frames that count, stage by stage: a first short window makes the problem nearly linear.
     /// The last stage is always all frames.
     #[serde(default)]
@@ -189,6 +192,36 @@ pub struct Learn {
     /// The loss below which the search ends.
     #[serde(default = "defaults::target")]
     pub target: f64,
+}
+
+/// A search before the search, for losses that lead home only from nearby: same model, parameters and
+/// frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WarmUp {
+    /// Weights of the losses.
+    pub loss: Weights,
+    /// How the loss is brought down.
+    pub optimiser: Optimiser,
+    /// As [`Learn::windows`].
+    pub windows: Vec<usize>,
+    /// As [`Learn::iterations`].
+    pub iterations: usize,
+    /// As [`Learn::target`].
+    pub target: f64,
+}
+
+impl Default for WarmUp {
+    /// The field loss, by Levenberg–Marquardt.
+    fn default() -> Self {
+        Self {
+            loss: Weights::default(),
+            optimiser: Optimiser::default(),
+            windows: Vec::new(),
+            iterations: defaults::iterations(),
+            target: defaults::target(),
+        }
+    }
 }
 
 /// Weights of the losses; one at zero is not computed.
@@ -257,6 +290,15 @@ pub enum Optimiser {
         #[serde(default = "defaults::damping")]
         damping: f64,
     },
+    /// Curvature from the last gradients (limited-memory BFGS): for networks and statistical losses.
+    Lbfgs {
+        /// How many gradients are remembered.
+        #[serde(default = "defaults::memory")]
+        memory: usize,
+        /// Length of the very first step.
+        #[serde(default = "defaults::length")]
+        length: f64,
+    },
     /// First order with momentum (Kingma & Ba 2014).
     Adam {
         /// Learning rate.
@@ -319,6 +361,12 @@ mod defaults {
     pub(super) fn target() -> f64 {
         1e-26
     }
+    pub(super) fn memory() -> usize {
+        30
+    }
+    pub(super) fn length() -> f64 {
+        0.1
+    }
     pub(super) fn damping() -> f64 {
         1e-3
     }
@@ -343,6 +391,18 @@ impl Scene {
     /// The model that the scene learns; that of the truth where it learns nothing.
     pub fn model(&self) -> ModelChoice {
         self.learn.as_ref().map(|learn| learn.model.clone()).unwrap_or_default()
+    }
+
+    /// The scene of the warm-up, where there is one: this one with the warm-up's search.
+    pub fn warm_up(&self) -> Option<Self> {
+        let mut scene = self.clone();
+        let learn = scene.learn.as_mut()?;
+        let warm_up = learn.warm_up.take()?;
+        let WarmUp { loss, optimiser, windows, iterations, target } = warm_up;
+        (learn.loss, learn.optimiser, learn.windows) = (loss, optimiser, windows);
+        (learn.iterations, learn.target) = (iterations, target);
+        learn.gradient = Gradient::Auto;
+        Some(scene)
     }
 
     /// Number of particles `N`.

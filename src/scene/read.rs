@@ -5,12 +5,81 @@ use crate::error::{Error, Result};
 use std::path::Path;
 use toml::{Table, Value};
 
-/// The scenes that are compiled in: name and text.
-pub const SHIPPED: &[(&str, &str)] = &[
-    ("inverse-3d", include_str!("shipped/inverse-3d.toml")),
-    ("inverse-3d-forcing", include_str!("shipped/inverse-3d-forcing.toml")),
-    ("inverse-2d", include_str!("shipped/inverse-2d.toml")),
+/// A scene that is compiled in.
+#[derive(Clone, Copy, Debug)]
+pub struct Shipped {
+    /// Its name.
+    pub name: &'static str,
+    /// The text that it shares with others of its kind.
+    pub text: &'static str,
+    /// What is its own, as `--set` would say it.
+    pub overrides: &'static [&'static str],
+}
+
+/// The scenes of one dimension of the hierarchy: the paper's table.
+macro_rules! hierarchy {
+    ($text:literal: $($name:literal $overrides:expr;)*) => {
+        [$(Shipped { name: $name, text: include_str!($text), overrides: &$overrides }),*]
+    };
+}
+
+const INVERSE: [Shipped; 3] = [
+    Shipped { name: "inverse-3d", text: include_str!("shipped/inverse-3d.toml"), overrides: &[] },
+    Shipped {
+        name: "inverse-3d-forcing",
+        text: include_str!("shipped/inverse-3d-forcing.toml"),
+        overrides: &[],
+    },
+    Shipped { name: "inverse-2d", text: include_str!("shipped/inverse-2d.toml"), overrides: &[] },
 ];
+
+/// A statistical loss leads `c, α, β, γ` home only from nearby: the field loss goes first.
+const FIELD_FIRST: &str = "learn.warm_up={windows=[1,3],iterations=8}";
+
+const HIERARCHY_3D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-3d.toml":
+    "node-3d" ["learn.model={kind='node',height=5,nearest=20}"];
+    "nn-sum-3d" ["learn.model={kind='nn-sum',height=5}"];
+    "rot-inv-3d" ["learn.model={kind='rot-inv',height=5}"];
+    "grad-p-3d" ["learn.model={kind='grad-p',height=5}"];
+    "eos-nn-3d" [
+        "learn.model={kind='eos-nn',height=10}",
+        "learn.loss={field=1.0}",
+        "learn.optimiser={kind='levenberg-marquardt'}",
+        "learn.windows=[1,3]",
+        "learn.iterations=60",
+    ];
+    "physics-3d" ["learn.parameters=['c','alpha','beta','gamma']", FIELD_FIRST];
+};
+
+const HIERARCHY_2D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-2d.toml":
+    "node-2d" ["learn.model={kind='node',height=10,nearest=20}"];
+    "nn-sum-2d" ["learn.model={kind='nn-sum',height=10}"];
+    "rot-inv-2d" ["learn.model={kind='rot-inv',height=10}"];
+    "grad-p-2d" ["learn.model={kind='grad-p',height=10}"];
+    "eos-nn-2d" [
+        "learn.model={kind='eos-nn',height=10}",
+        "learn.loss={field=1.0}",
+        "learn.optimiser={kind='levenberg-marquardt'}",
+        "learn.windows=[1,3]",
+        "learn.iterations=60",
+    ];
+    "physics-2d" ["learn.parameters=['c','alpha','beta','gamma']", FIELD_FIRST];
+};
+
+/// Every scene that is compiled in.
+pub const SHIPPED: [Shipped; 15] = {
+    let mut all = [INVERSE[0]; 15];
+    let mut k = 0;
+    while k < 15 {
+        all[k] = match k {
+            0..3 => INVERSE[k],
+            3..9 => HIERARCHY_3D[k - 3],
+            _ => HIERARCHY_2D[k - 9],
+        };
+        k += 1;
+    }
+    all
+};
 
 impl Scene {
     /// A shipped scene by name.
@@ -27,11 +96,19 @@ impl Scene {
     /// A shipped scene by name or a file by path, with `key=value` overrides of any key, dots
     /// between the levels: `fluid.alpha=2`.
     pub fn open(name_or_path: &str, overrides: &[String]) -> Result<Self> {
-        if let Some((name, text)) = SHIPPED.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse(text, &format!("shipped scene {name}"), overrides);
+        if let Some(shipped) = SHIPPED.iter().find(|shipped| shipped.name == name_or_path) {
+            let Shipped { name, text, overrides: own } = shipped;
+            let origin = format!("shipped scene {name}");
+            if own.is_empty() {
+                return Self::parse(text, &origin, overrides);
+            }
+            let own: Vec<String> = own.iter().map(|&own| own.to_owned()).collect();
+            let mut scene = Self::parse(text, &origin, &own)?;
+            scene.name = (*name).to_owned();
+            return Self::parse(&scene.to_toml(), &origin, overrides);
         }
         let path = Path::new(name_or_path);
-        let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+        let names: Vec<&str> = SHIPPED.iter().map(|shipped| shipped.name).collect();
         if path.extension().is_none() && !path.exists() {
             return Err(Error::input(
                 format!("scene '{name_or_path}'"),

@@ -1,0 +1,202 @@
+//! Algorithm 1: predict, differentiate, compare, update.
+
+mod search;
+
+use crate::error::{Error, Result};
+use crate::flow::{Differentiation, Flow, State, Stream, stream};
+use crate::kernel::Smoothing;
+use crate::models::{Medium, Parameter};
+use crate::scene::{Learn, Optimiser, Scene};
+use crate::sensitivity::{Gradient, adjoint_gradient};
+use crate::systems::loss::{LossSum, Observations};
+use crate::truth::Truth;
+use rand::RngExt;
+
+/// What is known after one evaluation of the loss.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// The learned parameters, in the scene's order.
+    pub parameters: Vec<f64>,
+    /// The weighted loss.
+    pub loss: f64,
+    /// Its trajectory part.
+    pub trajectory: f64,
+    /// Its field part.
+    pub field: f64,
+    /// Its statistical part.
+    pub kl: f64,
+    /// `∂loss/∂parameters`.
+    pub gradient: Vec<f64>,
+    /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
+    pub normal: Vec<f64>,
+}
+
+/// One iteration of the search, as it is recorded.
+#[derive(Clone, Debug)]
+pub struct Iteration<'a> {
+    /// Zero is the guess; then counted over all stages: `k` stands behind `k` updates (first order) or
+    /// trials (Levenberg–Marquardt).
+    pub index: usize,
+    /// Frames that count in this stage.
+    pub window: usize,
+    /// Loss and gradient at the parameters that are now best (Levenberg–Marquardt) or current.
+    pub evaluation: &'a Evaluation,
+    /// Damping (Levenberg–Marquardt), or learning rate of the update that led here.
+    pub rate: f64,
+    /// Why the last trial was taken back, if it was, or which iteration is gone back to.
+    pub note: Option<String>,
+}
+
+/// How a search ended.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Loss and parameters over all frames; of a first-order search the best that its last stage met,
+    /// which is also the last iteration: one more goes back to it where it was left behind.
+    pub evaluation: Evaluation,
+    /// Loss of the first guess over all frames.
+    pub initial_loss: f64,
+    /// Iterations of all stages.
+    pub iterations: usize,
+}
+
+/// What a scene learns: its physical parameters, then all weights of its model's network.
+fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
+    let medium = Medium {
+        mass: scene.mass(),
+        smoothing: Smoothing::of(scene.fluid.kernel, scene.fluid.smoothing_length),
+        parameters: scene.parameters(),
+    };
+    let model = learn.model.build::<D>(medium)?;
+    let weights = model.network().map_or(0, |network| network.weights.len() as u32);
+    let weights = (0..weights).map(Parameter::Weight);
+    Ok(learn.parameters.iter().copied().chain(weights).collect())
+}
+
+/// A prediction that learns: a flow with sensitivities, started again and again from the same state.
+pub struct Learner<const D: usize> {
+    flow: Flow<D>,
+    from: State<D>,
+    learn: Learn,
+    columns: Vec<Parameter>,
+    frames: usize,
+    gradient: Gradient,
+    /// Who searches before.
+    warm_up: Option<Box<Self>>,
+}
+
+impl<const D: usize> Learner<D> {
+    /// A learner for a scene, from the first true state and the observations behind it.
+    pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
+        let learn = scene.learning()?.clone();
+        let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+        let columns = columns::<D>(scene, &learn)?;
+        let gradient = learn.gradient.choose(columns.len(), residuals);
+        let frames = observations.frames.len();
+        let flow = match gradient {
+            Gradient::Adjoint => Flow::with_adjoint(scene, &from, observations)?,
+            Gradient::Auto | Gradient::Forward => {
+                let (parameters, coupling) = (columns.clone(), learn.coupling);
+                let by = Differentiation { parameters, coupling };
+                Flow::build(scene, &from, Some(&by), Some(observations))?
+            }
+        };
+        Ok(Self { flow, from, learn, columns, frames, gradient, warm_up: None })
+    }
+
+    /// A learner for a scene from a truth, with the scene's warm-up.
+    ///
+    /// # Errors
+    /// As [`Learner::new`] and [`Truth::observations`].
+    pub fn of_truth(scene: &Scene, truth: &Truth<D>) -> Result<Self> {
+        let observations = truth.observations(scene, scene.learning()?)?;
+        let mut learner = Self::new(scene, truth.states[0].clone(), observations)?;
+        if let Some(before) = scene.warm_up() {
+            learner.warm_up = Some(Box::new(Self::of_truth(&before, truth)?));
+        }
+        Ok(learner)
+    }
+
+    /// The flow that predicts.
+    pub fn flow_mut(&mut self) -> &mut Flow<D> {
+        &mut self.flow
+    }
+
+    /// The learned parameters: the physical ones in the scene's order, then the network's weights.
+    pub fn columns(&self) -> &[Parameter] {
+        &self.columns
+    }
+
+    /// The first guess: the scene's, or drawn from uniform (0, 1) where it has none; weights as
+    /// [`crate::network::Network::initial`] draws them.
+    pub fn guess(&self, seed: u64) -> Vec<f64> {
+        let mut generator = stream(seed, Stream::Guess);
+        let draw = |p: &Parameter| {
+            let drawn = generator.random::<f64>();
+            self.learn.guess.get(&*p.name()).copied().unwrap_or(drawn)
+        };
+        let mut guess: Vec<f64> = self.learn.parameters.iter().map(draw).collect();
+        guess.extend(self.flow.draw_weights(seed));
+        guess
+    }
+
+    /// Runs the prediction over the first `window` frames and compares it with the truth.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss that
+    /// is not finite.
+    pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
+        self.flow.set_learned(&self.columns, learned);
+        self.flow.set_window(window);
+        if self.gradient == Gradient::Adjoint {
+            return self.evaluate_backwards(learned, window);
+        }
+        self.flow.reset(&self.from);
+        for _ in 0..window {
+            self.flow.step()?;
+        }
+        let loss = self.flow.loss();
+        let count = learned.len();
+        let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
+        let normal = add(loss.trajectory.normal(count), loss.field.normal(count));
+        self.evaluation(learned, &loss, (loss.gradient(count), normal))
+    }
+
+    fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
+        let storage = self.learn.storage;
+        let found = adjoint_gradient(&mut self.flow, &self.from, window as u64, storage)?;
+        let gradient = self.columns.iter().map(|p| found.gradient[p.index()]).collect();
+        self.evaluation(learned, &found.loss, (gradient, Vec::new()))
+    }
+
+    fn evaluation(
+        &self,
+        learned: &[f64],
+        loss: &LossSum,
+        (gradient, normal): (Vec<f64>, Vec<f64>),
+    ) -> Result<Evaluation> {
+        let value = loss.value();
+        if !value.is_finite() {
+            return Err(Error::Diverged {
+                step: self.flow.steps(),
+                time: self.flow.time(),
+                quantity: "the loss".to_owned(),
+                found: format!("is {value}"),
+                remedy: "start nearer to the truth, or take a smaller time step".to_owned(),
+            });
+        }
+        Ok(Evaluation {
+            parameters: learned.to_vec(),
+            loss: value,
+            trajectory: loss.trajectory.value,
+            field: loss.field.value,
+            kl: loss.kl.value,
+            gradient,
+            normal,
+        })
+    }
+
+    /// How the gradient is found.
+    pub fn gradient(&self) -> Gradient {
+        self.gradient
+    }
+}
