@@ -9,7 +9,6 @@ pub use adjoint::Snapshot;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
-use crate::kernel::Smoothing;
 use crate::models::{Medium, Model, ModelChoice, Parameter, Parameters};
 use crate::scalar::WIDTH;
 use crate::scene::Scene;
@@ -60,11 +59,17 @@ struct Backward {
 /// Everything that a flow is made of.
 struct Request<const D: usize> {
     scene: Scene,
-    model: ModelChoice,
+    model: Source<D>,
     state: State<D>,
     differentiation: Option<Differentiation>,
     observations: Option<Observations<D>>,
     adjoint: bool,
+}
+
+/// Where the model comes from.
+enum Source<const D: usize> {
+    Scene(ModelChoice),
+    Caller(Box<dyn Model<D>>),
 }
 
 #[inline(never)]
@@ -88,7 +93,7 @@ impl<const D: usize> Flow<D> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
             scene: scene.clone(),
-            model: ModelChoice::Physics,
+            model: Source::Scene(ModelChoice::Physics),
             state: state.clone(),
             differentiation: None,
             observations: None,
@@ -107,10 +112,27 @@ impl<const D: usize> Flow<D> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
             scene: scene.clone(),
-            model: scene.model(),
+            model: Source::Scene(scene.model()),
             state: state.clone(),
             differentiation: differentiation.cloned(),
             observations,
+            adjoint: false,
+        })
+    }
+
+    /// The flow of a scene by a model of the caller's own; see [`crate::models`] for how to write one.
+    pub fn with_own_model(
+        scene: &Scene,
+        state: &State<D>,
+        model: Box<dyn Model<D>>,
+    ) -> Result<Self> {
+        Self::must_fit(scene)?;
+        Self::assemble(Request {
+            scene: scene.clone(),
+            model: Source::Caller(model),
+            state: state.clone(),
+            differentiation: None,
+            observations: None,
             adjoint: false,
         })
     }
@@ -124,7 +146,7 @@ impl<const D: usize> Flow<D> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
             scene: scene.clone(),
-            model: scene.model(),
+            model: Source::Scene(scene.model()),
             state: state.clone(),
             differentiation: None,
             observations: Some(observations),
@@ -149,17 +171,15 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// The one place where a scene's choice of a law becomes a type.
-    fn with_law(request: Request<D>) -> Result<Self> {
-        let fluid = &request.scene.fluid;
-        let medium = Medium {
-            mass: fluid.box_length.powi(D as i32) / request.state.positions.len() as f64,
-            smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
-            parameters: request.scene.parameters(),
-        };
-        let (choice, seed) = (request.model.clone(), request.scene.seed);
-        let model = choice.build(medium)?;
-        let mut flow = Self::with_model(request, model);
+    /// The one place where a scene's choice of a law becomes a model.
+    fn with_law(mut request: Request<D>) -> Result<Self> {
+        let medium = Medium::of(&request.scene, request.state.positions.len());
+        let seed = request.scene.seed;
+        let mut flow =
+            match std::mem::replace(&mut request.model, Source::Scene(Default::default())) {
+                Source::Scene(choice) => Self::with_model(request, choice.build(medium)?),
+                Source::Caller(model) => return Ok(Self::with_model(request, model)),
+            };
         let weights = flow.draw_weights(seed);
         flow.set_weights(&weights);
         Ok(flow)

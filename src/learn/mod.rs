@@ -4,7 +4,6 @@ mod search;
 
 use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
-use crate::kernel::Smoothing;
 use crate::models::{Medium, Parameter};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Gradient, adjoint_gradient};
@@ -61,12 +60,7 @@ pub struct Outcome {
 
 /// What a scene learns: its physical parameters, then all weights of its model's network.
 fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
-    let medium = Medium {
-        mass: scene.mass(),
-        smoothing: Smoothing::of(scene.fluid.kernel, scene.fluid.smoothing_length),
-        parameters: scene.parameters(),
-    };
-    let model = learn.model.build::<D>(medium)?;
+    let model = learn.model.build(Medium::<D>::of(scene, scene.particles()))?;
     let weights = model.network().map_or(0, |network| network.weights.len() as u32);
     let weights = (0..weights).map(Parameter::Weight);
     Ok(learn.parameters.iter().copied().chain(weights).collect())

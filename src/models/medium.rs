@@ -4,6 +4,7 @@ use super::{CentralSlope, Parameters};
 use crate::kernel::{KernelName, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::scalar::{Lanes, Scalar};
+use crate::scene::Scene;
 use crate::vector::Vector;
 use crate::viscosity::{Viscosity, monaghan, monaghan_gradient};
 
@@ -36,6 +37,16 @@ pub struct Strength<T> {
 }
 
 impl<const D: usize> Medium<D> {
+    /// The medium of a scene in `particles` particles.
+    pub fn of(scene: &Scene, particles: usize) -> Self {
+        let fluid = &scene.fluid;
+        Self {
+            mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
+            smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
+            parameters: scene.parameters(),
+        }
+    }
+
     #[inline(always)]
     fn viscosity<T: Scalar>(&self) -> Viscosity<T> {
         let [c, alpha, beta, ..] = self.parameters.0;
