@@ -130,6 +130,45 @@ fn check_gradient_prints_one_line_for_each_parameter() {
 }
 
 #[test]
+fn check_gradient_of_a_network_prints_its_length_and_its_largest_components() {
+    let place = Place::new();
+    let network = ["small.toml", "--check-gradient", "--set", "learn.model={kind='grad-p'}"];
+    let done = place.run("train", &[&network[..], &["--set", "learn.parameters=[]"]].concat());
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let apart = done.out.lines().find(|line| line.contains("largest difference")).unwrap();
+    let apart: f64 = apart.split_whitespace().rev().nth(1).unwrap().parse().unwrap();
+    assert!(apart < 1e-12, "{}", done.out);
+    let named = |line: &&str| line.starts_with("  gradient ") || line.starts_with("  w");
+    let lines: Vec<&str> = done.out.lines().filter(named).collect();
+    assert_eq!(lines.len(), 9, "{}", done.out);
+    for line in lines {
+        let difference: f64 = line.split_whitespace().last().unwrap().parse().unwrap();
+        assert!(difference < 1e-4, "{line}");
+    }
+}
+
+#[test]
+fn check_coupling_shows_local_gradients_that_begin_right_and_stray() {
+    let place = Place::new();
+    let check = ["small.toml", "--check-coupling", "--set", "learn.guess={c=9.0,gamma=6.5}"];
+    let report = place.json("train", &[&check[..], &["--json"]].concat());
+    let horizons = report["horizons"].as_array().unwrap();
+    let steps: Vec<_> = horizons.iter().map(|row| row["steps"].as_u64().unwrap()).collect();
+    assert_eq!((steps, &report["parameters"]), (vec![1, 2, 3, 4], &4.into()));
+    let cosines: Vec<_> = horizons.iter().map(|row| row["cosine"].as_f64().unwrap()).collect();
+    assert!(1.0 - cosines[0] < 1e-3 && cosines.iter().all(|cosine| *cosine <= 1.0 + 1e-15));
+    assert!(horizons.iter().all(|row| row["length_ratio"].as_f64().unwrap() > 0.0));
+    let done = place.run("train", &check);
+    let rows = done.out.lines().filter(|line| line.trim().starts_with(char::is_numeric));
+    assert_eq!((done.code, rows.count()), (Some(0), 4), "{}", done.out);
+    assert!(!place.path("recordings").exists(), "nothing is recorded");
+    let truth = "learn.guess={c=10.0,alpha=1.0,beta=2.0,gamma=7.0}";
+    let perfect = ["small.toml", "--check-coupling", "--set", truth];
+    let parts = ["full gradient over 1 steps", "not zero", "found 0", "guess other parameters"];
+    place.refuses("train", &perfect, &parts);
+}
+
+#[test]
 fn train_on_increments_reports_the_parts_of_its_loss_and_the_sampling_floor() {
     let place = Place::new();
     let kl = ["small.toml", "--set", "learn.loss.kl=0.5", "--set"];
@@ -298,7 +337,18 @@ fn help_names_every_option() {
     let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
     let place = Place::new();
     let commands: [(&str, &[&str]); 4] = [
-        ("train", &["--truth", "--record", "--resume", "--check-gradient", "--no-floor", "--live"]),
+        (
+            "train",
+            &[
+                "--truth",
+                "--record",
+                "--resume",
+                "--check-gradient",
+                "--check-coupling",
+                "--no-floor",
+                "--live",
+            ],
+        ),
         ("simulate", &["--from", "--frame", "--steps", "--record"]),
         (
             "import",

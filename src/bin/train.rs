@@ -1,17 +1,21 @@
 //! `train`: learns the law of a flow from its moving particles.
 
+#[path = "train/check.rs"]
+mod check;
 mod common;
 #[path = "train/floor.rs"]
 mod floor;
+#[path = "train/report.rs"]
+mod report;
 #[path = "common/scene.rs"]
 mod scene;
 
+use check::{check_coupling, check_gradient};
 use clap::Parser;
 use common::{conclude, say, say_json};
 use floor::floor;
+use report::{Report, describe, report};
 use scene::{SceneArguments, explain, in_dimension, progress};
-use serde::Serialize;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -19,8 +23,7 @@ use whirls::learn::{Iteration, Learner, Outcome};
 use whirls::models::Parameter;
 use whirls::recording::{self, Level, Recorder, Recording, TrainStep};
 use whirls::run::{frame, run_info, run_recorded, truth_from_recording};
-use whirls::scene::{Learn, Optimiser};
-use whirls::sensitivity::{ComparedSlope, Gradient, compare_with_differences};
+use whirls::scene::Learn;
 use whirls::statistics::pressure_error;
 use whirls::truth::Truth;
 use whirls::{Error, Flow, Result, Scene};
@@ -45,6 +48,9 @@ struct Arguments {
     /// Compare forward gradient, adjoint and central differences at the first guess, and stop.
     #[arg(long)]
     check_gradient: bool,
+    /// Compare the gradient with coupling "local" and "full" at the first guess, by horizon, and stop.
+    #[arg(long, conflicts_with = "check_gradient")]
+    check_coupling: bool,
     /// Do not measure the sampling floor of the statistical loss, which takes two more runs of the truth.
     #[arg(long)]
     no_floor: bool,
@@ -53,43 +59,6 @@ struct Arguments {
     live: bool,
     #[command(flatten)]
     common: SceneArguments,
-}
-
-#[derive(Serialize)]
-struct Report {
-    scene: String,
-    model: &'static str,
-    particles: usize,
-    steps: usize,
-    gradient: &'static str,
-    iterations: usize,
-    loss_initial: f64,
-    loss_final: f64,
-    parameters: BTreeMap<String, f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    truth: Option<BTreeMap<String, f64>>,
-    seconds: Seconds,
-    recording: PathBuf,
-    losses: Losses,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    kl_floor: Option<f64>,
-    /// Largest difference of a learned pressure from the true one, over the densities seen.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pressure_error: Option<f64>,
-}
-
-/// The parts of the final loss.
-#[derive(Serialize)]
-struct Losses {
-    trajectory: f64,
-    field: f64,
-    kl: f64,
-}
-
-#[derive(Serialize)]
-struct Seconds {
-    truth: f64,
-    train: f64,
 }
 
 fn main() -> ExitCode {
@@ -127,29 +96,35 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         learner.evaluate(&guess, 1)?;
         return explain(learner.flow_mut());
     }
-    if arguments.check_gradient {
-        return check_gradient(scene, &lesson, &guess);
+    if arguments.check_gradient || arguments.check_coupling {
+        // The memory of its sensitivities is wanted for others.
+        drop(learner);
+        return match arguments.check_gradient {
+            true => check_gradient(scene, &lesson, &guess),
+            false => check_coupling(scene, &lesson, (&guess, arguments.common.json)),
+        };
     }
-    let path = arguments
-        .record
-        .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("recordings/{}.mcap", scene.name)));
-    let mut info = run_info(scene, "train");
-    info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
-    let mut recorder = Recorder::create(&path, &info)?;
-    for (k, (state, densities)) in
-        lesson.truth.states.iter().zip(&lesson.truth.densities).enumerate()
-    {
-        recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
+    let report = learn_and_record(arguments, scene, (&lesson, &mut learner), guess)?;
+    describe(&report);
+    if arguments.common.json {
+        say_json(&report)?;
     }
-    let (what, gradient) = (what(&learner), learner.gradient().name());
-    let text = format!("learning {what} from {} steps, gradient: {gradient}", lesson.learn.frames);
-    recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
-    let kl_floor = floor(arguments, scene, &lesson, &mut recorder)?;
+    show_live(arguments, &report.recording)
+}
+
+/// The search with everything that is recorded of it.
+fn learn_and_record<const D: usize>(
+    arguments: &Arguments,
+    scene: &Scene,
+    (lesson, learner): (&Lesson<D>, &mut Learner<D>),
+    guess: Vec<f64>,
+) -> Result<Report> {
+    let (path, mut recorder) = record_truth(arguments, scene, (lesson, learner))?;
+    let kl_floor = floor(arguments, scene, lesson, &mut recorder)?;
     recorder.checkpoint()?;
     let clock = Instant::now();
-    let outcome = search(&mut learner, guess, &lesson, &mut recorder).and_then(|outcome| {
-        record_learned(scene, (&lesson, &learner), &outcome, &mut recorder)
+    let outcome = search(learner, guess, lesson, &mut recorder).and_then(|outcome| {
+        record_learned(scene, (lesson, learner), &outcome, &mut recorder)
             .map(|error| (outcome, error))
     });
     let (level, text) = match &outcome {
@@ -161,15 +136,31 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     };
     recorder.log(level, lesson.truth.states.last().map_or(0.0, |s| s.time), text)?;
     recorder.finish()?;
-    let (outcome, pressure_error) = outcome?;
     let train = clock.elapsed().as_secs_f64();
-    let report = report(scene, (&lesson, &learner), &outcome, (train, path));
-    let report = Report { kl_floor, pressure_error, ..report };
-    describe(&report);
-    if arguments.common.json {
-        say_json(&report)?;
+    let (outcome, pressure_error) = outcome?;
+    let report = report(scene, (lesson, learner), &outcome, (train, path));
+    Ok(Report { kl_floor, pressure_error, ..report })
+}
+
+/// Begins a recording: the truth, and what is to be learned from it.
+fn record_truth<const D: usize>(
+    arguments: &Arguments,
+    scene: &Scene,
+    (lesson, learner): (&Lesson<D>, &Learner<D>),
+) -> Result<(PathBuf, Recorder)> {
+    let default = || PathBuf::from(format!("recordings/{}.mcap", scene.name));
+    let path = arguments.record.clone().unwrap_or_else(default);
+    let mut info = run_info(scene, "train");
+    info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+    let mut recorder = Recorder::create(&path, &info)?;
+    let states = lesson.truth.states.iter().zip(&lesson.truth.densities);
+    for (k, (state, densities)) in states.enumerate() {
+        recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
     }
-    show_live(arguments, &report.recording)
+    let (what, gradient) = (what(learner), learner.gradient().name());
+    let text = format!("learning {what} from {} steps, gradient: {gradient}", lesson.learn.frames);
+    recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
+    Ok((path, recorder))
 }
 
 fn lesson<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<Lesson<D>> {
@@ -284,119 +275,6 @@ fn record_learned<const D: usize>(
     let learned = flow.model().has_stress_network() && lesson.known.is_some();
     let seen = lesson.truth.densities_seen();
     Ok(learned.then(|| pressure_error(&flow, &scene.parameters(), seen)))
-}
-
-fn report<const D: usize>(
-    scene: &Scene,
-    (lesson, learner): (&Lesson<D>, &Learner<D>),
-    outcome: &Outcome,
-    (train, recording): (f64, PathBuf),
-) -> Report {
-    let named = |values: &[f64]| {
-        let names = learner.columns().iter().map(|p: &Parameter| p.name().into_owned());
-        names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
-    };
-    Report {
-        scene: scene.name.clone(),
-        model: lesson.learn.model.kind(),
-        particles: lesson.truth.densities[0].len(),
-        steps: lesson.learn.frames,
-        gradient: learner.gradient().name(),
-        iterations: outcome.iterations,
-        loss_initial: outcome.initial_loss,
-        loss_final: outcome.evaluation.loss,
-        parameters: named(&outcome.evaluation.parameters),
-        truth: lesson.known.as_deref().map(named),
-        seconds: Seconds { truth: lesson.seconds, train },
-        recording,
-        losses: Losses {
-            trajectory: outcome.evaluation.trajectory,
-            field: outcome.evaluation.field,
-            kl: outcome.evaluation.kl,
-        },
-        kl_floor: None,
-        pressure_error: None,
-    }
-}
-
-fn describe(report: &Report) {
-    say(format!(
-        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations, gradient {} ({:.1} s)",
-        report.scene,
-        report.particles,
-        report.steps,
-        report.loss_initial,
-        report.loss_final,
-        report.iterations,
-        report.gradient,
-        report.seconds.train
-    ));
-    let Losses { trajectory, field, kl } = report.losses;
-    let parts = [("trajectory", trajectory), ("field", field), ("kl", kl)].into_iter();
-    let mut parts: Vec<_> = parts.filter(|(_, loss)| loss.abs() > 0.0).collect();
-    parts.extend(report.kl_floor.map(|floor| ("sampling floor of kl", floor)));
-    if parts.len() > 1 {
-        let parts = parts.iter().map(|(name, loss)| format!("{name} {loss:.2e}"));
-        say(format!("  {}", parts.collect::<Vec<_>>().join(", ")));
-    }
-    let physical = Parameter::ALL.map(|p| p.name());
-    let weights = report.parameters.keys().filter(|name| !physical.contains(&name.as_str().into()));
-    match weights.count() {
-        0 => {}
-        count => say(format!("  {} with {count} weights", report.model)),
-    }
-    if let Some(error) = report.pressure_error {
-        say(format!("  its pressure is within {:.2} % of the true one", 100.0 * error));
-    }
-    for (name, value) in &report.parameters {
-        if !physical.contains(&name.as_str().into()) {
-            continue;
-        }
-        let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {
-            Some(truth) => format!("   truth {truth}, off by {:.1e}", (value - truth).abs()),
-            None => String::new(),
-        };
-        say(format!("  {name:6} {value:.12}{against}"));
-    }
-    say(format!("recorded in {}", report.recording.display()));
-}
-
-/// Prints the gradient at a guess, forward and adjoint, beside central differences, and their costs.
-fn check_gradient<const D: usize>(scene: &Scene, lesson: &Lesson<D>, guess: &[f64]) -> Result<()> {
-    let frames = lesson.learn.frames;
-    let learner = |gradient| {
-        let mut scene = scene.clone();
-        if let Some(learn) = &mut scene.learn {
-            // An optimiser that takes either.
-            learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
-            learn.gradient = gradient;
-        }
-        let observations = lesson.truth.observations(&scene, &lesson.learn)?;
-        let mut learner = Learner::new(&scene, lesson.truth.states[0].clone(), observations)?;
-        learner.evaluate(guess, frames)?;
-        let clock = Instant::now();
-        let evaluation = learner.evaluate(guess, frames)?;
-        Ok::<_, Error>((learner, evaluation, clock.elapsed().as_secs_f64()))
-    };
-    let (mut forward, by_forward, forward_seconds) = learner(Gradient::Forward)?;
-    let (_, by_adjoint, adjoint_seconds) = learner(Gradient::Adjoint)?;
-    let clock = Instant::now();
-    let compared = compare_with_differences(&mut forward, &by_forward, frames)?;
-    let seconds = clock.elapsed().as_secs_f64();
-    say(format!("loss {:.6e} at {guess:.6?}", by_forward.loss));
-    say("  parameter  forward                 against adjoint   against differences");
-    for (check, adjoint) in compared.iter().zip(&by_adjoint.gradient) {
-        let ComparedSlope { parameter, exact, relative, .. } = check;
-        let apart = ((adjoint - exact) / exact).abs();
-        say(format!(
-            "  {:9}  {exact:+.15e}  {apart:.1e}           {relative:.1e}",
-            parameter.name()
-        ));
-    }
-    say(format!(
-        "seconds: forward {forward_seconds:.3}, adjoint {adjoint_seconds:.3}, differences {seconds:.3}"
-    ));
-    Ok(())
 }
 
 #[cfg(feature = "viewer")]

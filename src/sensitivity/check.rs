@@ -4,11 +4,9 @@ use crate::error::Result;
 use crate::learn::{Evaluation, Learner};
 use crate::models::Parameter;
 
-/// One component of a gradient, both ways.
+/// The slope of a loss along one direction, both ways.
 #[derive(Clone, Copy, Debug)]
 pub struct ComparedSlope {
-    /// Of which parameter.
-    pub parameter: Parameter,
     /// The exact derivative.
     pub exact: f64,
     /// Central differences, with the step that comes closest.
@@ -21,34 +19,60 @@ pub struct ComparedSlope {
 /// pairs that turn from approaching to receding, the smallest by round-off.
 const STEPS: [f64; 4] = [1e-4, 1e-5, 1e-6, 1e-7];
 
-/// The gradient of an evaluation against central differences of the loss over `window` frames.
+/// One component of an evaluation's gradient against central differences of the loss over `window`
+/// frames. Steps are relative to a physical parameter, and to one for a weight.
 ///
 /// # Errors
 /// [`crate::Error::Diverged`] where a neighbouring set of parameters makes a flow that diverges.
-pub fn compare_with_differences<const D: usize>(
+pub fn compare_component<const D: usize>(
+    learner: &mut Learner<D>,
+    evaluation: &Evaluation,
+    component: usize,
+    window: usize,
+) -> Result<ComparedSlope> {
+    let mut direction = vec![0.0; evaluation.gradient.len()];
+    direction[component] = 1.0;
+    let size = match learner.columns()[component] {
+        Parameter::Weight(_) => 1.0,
+        _ => evaluation.parameters[component].abs().max(1e-3),
+    };
+    compare_along(learner, evaluation, (&direction, size), window)
+}
+
+/// The slope along an evaluation's gradient, which is its length, against central differences of the
+/// loss over `window` frames: one number in which every parameter has its part.
+///
+/// # Errors
+/// [`crate::Error::Diverged`] as [`compare_component`].
+pub fn compare_along_gradient<const D: usize>(
     learner: &mut Learner<D>,
     evaluation: &Evaluation,
     window: usize,
-) -> Result<Vec<ComparedSlope>> {
-    let mut slopes = Vec::new();
-    for (k, parameter) in learner.columns().to_vec().into_iter().enumerate() {
-        let (here, exact) = (evaluation.parameters[k], evaluation.gradient[k]);
-        let mut best =
-            ComparedSlope { parameter, exact, central: f64::NAN, relative: f64::INFINITY };
-        for relative in STEPS {
-            let step = relative * here.abs().max(1e-3);
-            let mut loss_at = |x: f64| {
-                let mut moved = evaluation.parameters.clone();
-                moved[k] = x;
-                learner.evaluate(&moved, window).map(|found| found.loss)
-            };
-            let central = (loss_at(here + step)? - loss_at(here - step)?) / (2.0 * step);
-            let relative = ((central - exact) / exact).abs();
-            if relative < best.relative {
-                best = ComparedSlope { central, relative, ..best };
-            }
+) -> Result<ComparedSlope> {
+    let length = evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    let direction: Vec<f64> = evaluation.gradient.iter().map(|g| g / length).collect();
+    compare_along(learner, evaluation, (&direction, 1.0), window)
+}
+
+fn compare_along<const D: usize>(
+    learner: &mut Learner<D>,
+    evaluation: &Evaluation,
+    (direction, size): (&[f64], f64),
+    window: usize,
+) -> Result<ComparedSlope> {
+    let exact = evaluation.gradient.iter().zip(direction).map(|(g, d)| g * d).sum();
+    let mut loss_at = |step: f64| {
+        let moved = evaluation.parameters.iter().zip(direction).map(|(x, d)| x + step * d);
+        learner.evaluate(&moved.collect::<Vec<_>>(), window).map(|found| found.loss)
+    };
+    let mut best = ComparedSlope { exact, central: f64::NAN, relative: f64::INFINITY };
+    for step in STEPS {
+        let step = step * size;
+        let central = (loss_at(step)? - loss_at(-step)?) / (2.0 * step);
+        let relative = ((central - exact) / exact).abs();
+        if relative < best.relative {
+            best = ComparedSlope { central, relative, ..best };
         }
-        slopes.push(best);
     }
-    Ok(slopes)
+    Ok(best)
 }

@@ -9,7 +9,7 @@ mod adjoint;
 mod check;
 
 pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
-pub use check::{ComparedSlope, compare_with_differences};
+pub use check::{ComparedSlope, compare_along_gradient, compare_component};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,225 @@
+//! What a gradient is worth: against other ways to find it, and with less of it.
+
+use crate::Lesson;
+use crate::common::{say, say_json};
+use crate::scene::progress;
+use serde::Serialize;
+use std::time::Instant;
+use whirls::learn::{Evaluation, Learner};
+use whirls::scene::Optimiser;
+use whirls::sensitivity::{Coupling, Gradient, compare_along_gradient, compare_component};
+use whirls::{Error, Result, Scene};
+
+/// Most parameters of which every one has a line; of more, the [`LARGEST`] components have one.
+const LINES: usize = 12;
+
+/// How many components stand for the others.
+const LARGEST: usize = 8;
+
+/// The scene's learner with another way to the gradient.
+fn learner<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    (gradient, coupling): (Gradient, Coupling),
+) -> Result<Learner<D>> {
+    let mut scene = scene.clone();
+    if let Some(learn) = &mut scene.learn {
+        // An optimiser that takes either.
+        learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
+        (learn.gradient, learn.coupling) = (gradient, coupling);
+    }
+    let observations = lesson.truth.observations(&scene, &lesson.learn)?;
+    Learner::new(&scene, lesson.truth.states[0].clone(), observations)
+}
+
+/// A gradient with its learner and the seconds it takes.
+struct Timed<const D: usize> {
+    learner: Learner<D>,
+    found: Evaluation,
+    seconds: f64,
+}
+
+fn timed<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    guess: &[f64],
+    gradient: Gradient,
+) -> Result<Timed<D>> {
+    let mut learner = learner(scene, lesson, (gradient, lesson.learn.coupling))?;
+    let frames = lesson.learn.frames;
+    learner.evaluate(guess, frames)?;
+    let clock = Instant::now();
+    let found = learner.evaluate(guess, frames)?;
+    Ok(Timed { learner, found, seconds: clock.elapsed().as_secs_f64() })
+}
+
+/// Prints the gradient at a guess, forward and adjoint, beside central differences, and their costs.
+pub(crate) fn check_gradient<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    guess: &[f64],
+) -> Result<()> {
+    let mut forward = timed(scene, lesson, guess, Gradient::Forward)?;
+    let mut adjoint = timed(scene, lesson, guess, Gradient::Adjoint)?;
+    let frames = lesson.learn.frames;
+    let clock = Instant::now();
+    if guess.len() <= LINES {
+        compare_all(&mut forward, &adjoint.found, frames)?;
+    } else {
+        compare_most(&forward.found, &mut adjoint, frames)?;
+    }
+    say(format!(
+        "seconds: forward {:.3}, adjoint {:.3}, differences {:.3}",
+        forward.seconds,
+        adjoint.seconds,
+        clock.elapsed().as_secs_f64()
+    ));
+    Ok(())
+}
+
+/// One line for each parameter.
+fn compare_all<const D: usize>(
+    forward: &mut Timed<D>,
+    adjoint: &Evaluation,
+    frames: usize,
+) -> Result<()> {
+    let (learner, found) = (&mut forward.learner, &forward.found);
+    say(format!("loss {:.6e} at {:.6?}", found.loss, found.parameters));
+    say("  parameter  forward                 against adjoint   against differences");
+    for (k, parameter) in learner.columns().to_vec().into_iter().enumerate() {
+        let slope = compare_component(learner, found, k, frames)?;
+        let apart = ((adjoint.gradient[k] - slope.exact) / slope.exact).abs();
+        say(format!(
+            "  {:9}  {:+.15e}  {apart:.1e}           {:.1e}",
+            parameter.name(),
+            slope.exact,
+            slope.relative
+        ));
+    }
+    Ok(())
+}
+
+/// The gradient as a whole, and its largest components; differences from the adjoint's flow, which
+/// carries no column for each parameter.
+fn compare_most<const D: usize>(
+    forward: &Evaluation,
+    adjoint: &mut Timed<D>,
+    frames: usize,
+) -> Result<()> {
+    let (learner, found) = (&mut adjoint.learner, &adjoint.found);
+    let (ahead, back) = (length(&forward.gradient), length(&found.gradient));
+    let apart = forward.gradient.iter().zip(&found.gradient).map(|(a, b)| (a - b).abs());
+    say(format!("loss {:.6e} at a guess of {} parameters", found.loss, found.parameters.len()));
+    say(format!("  length of the gradient: forward {ahead:.15e}, adjoint {back:.15e}"));
+    say(format!(
+        "  largest difference of a component: {:.1e} lengths",
+        apart.fold(0.0, f64::max) / ahead
+    ));
+    say("  direction  adjoint                 against differences");
+    let line = |name: &str, slope: f64, relative: f64| {
+        say(format!("  {name:9}  {slope:+.15e}  {relative:.1e}"));
+    };
+    let along = compare_along_gradient(learner, found, frames)?;
+    line("gradient", along.exact, along.relative);
+    let mut largest: Vec<usize> = (0..found.gradient.len()).collect();
+    largest.sort_by(|&a, &b| found.gradient[b].abs().total_cmp(&found.gradient[a].abs()));
+    for &component in &largest[..LARGEST] {
+        let slope = compare_component(learner, found, component, frames)?;
+        line(&learner.columns()[component].name(), slope.exact, slope.relative);
+    }
+    Ok(())
+}
+
+fn length(gradient: &[f64]) -> f64 {
+    gradient.iter().map(|g| g * g).sum::<f64>().sqrt()
+}
+
+/// The object of `--check-coupling --json`.
+#[derive(Serialize)]
+struct CouplingReport {
+    scene: String,
+    model: &'static str,
+    particles: usize,
+    parameters: usize,
+    loss: whirls::scene::Weights,
+    horizons: Vec<Horizon>,
+}
+
+/// The local gradient of a loss over so many steps, against the full one.
+#[derive(Serialize)]
+struct Horizon {
+    steps: usize,
+    cosine: f64,
+    length_ratio: f64,
+}
+
+/// Prints how far the gradient without its neighbours' share strays from the full one, by horizon.
+pub(crate) fn check_coupling<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    (guess, json): (&[f64], bool),
+) -> Result<()> {
+    let steps = horizons(lesson.learn.frames);
+    let gradients = |coupling| gradients_over(scene, lesson, (guess, &steps), coupling);
+    let (full, local) = (gradients(Coupling::Full)?, gradients(Coupling::Local)?);
+    let compared = full.iter().zip(&local).zip(&steps).map(|((a, b), &steps)| {
+        let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+        let (full, local) = (length(a), length(b));
+        Horizon { steps, cosine: dot / (full * local), length_ratio: local / full }
+    });
+    let report = CouplingReport {
+        scene: scene.name.clone(),
+        model: lesson.learn.model.kind(),
+        particles: lesson.truth.densities[0].len(),
+        parameters: guess.len(),
+        loss: lesson.learn.loss,
+        horizons: compared.collect(),
+    };
+    let CouplingReport { scene, model, particles, parameters, .. } = &report;
+    say(format!("{scene}: {model}, {particles} particles, {parameters} parameters"));
+    say("the gradient with coupling = \"local\" against \"full\", by horizon");
+    say("  steps   cosine      ratio of lengths");
+    for Horizon { steps, cosine, length_ratio } in &report.horizons {
+        say(format!("  {steps:5}  {cosine:+.6}  {length_ratio:.6}"));
+    }
+    if json { say_json(&report) } else { Ok(()) }
+}
+
+/// 1, 2, 3, 5, 10, 20, 30, 50, … below `frames`, and `frames`.
+fn horizons(frames: usize) -> Vec<usize> {
+    let decades = (0..).map(|power| 10_usize.pow(power)).take_while(|&decade| decade < frames);
+    let steps = decades.flat_map(|decade| [1, 2, 3, 5].map(|steps| steps * decade));
+    steps.filter(|&steps| steps < frames).chain([frames]).collect()
+}
+
+/// The gradient of the scene's loss over each horizon.
+fn gradients_over<const D: usize>(
+    scene: &Scene,
+    lesson: &Lesson<D>,
+    (guess, horizons): (&[f64], &[usize]),
+    coupling: Coupling,
+) -> Result<Vec<Vec<f64>>> {
+    let (name, way) = match coupling {
+        Coupling::Full => ("full", Gradient::Auto),
+        Coupling::Local => ("local", Gradient::Forward),
+    };
+    let mut learner = learner(scene, lesson, (way, coupling))?;
+    let bar = progress(horizons.len() as u64, name);
+    let gradients = horizons.iter().map(|&steps| {
+        let gradient = learner.evaluate(guess, steps)?.gradient;
+        bar.inc(1);
+        let length = length(&gradient);
+        if length > 0.0 && length.is_finite() {
+            return Ok(gradient);
+        }
+        Err(Error::input(
+            format!("the {name} gradient over {steps} steps"),
+            "a length that is finite and not zero, to compare directions",
+            length,
+            "guess other parameters than the truth's, or take fewer learn.frames",
+        ))
+    });
+    let gradients = gradients.collect();
+    bar.finish_and_clear();
+    gradients
+}

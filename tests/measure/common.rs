@@ -1,0 +1,137 @@
+//! What all benchmarks share: arguments, the flow they run, runs in turn.
+
+use clap::Parser;
+use std::time::Instant;
+use whirls::scene::Learn;
+use whirls::systems::loss::Observations;
+use whirls::truth::Truth;
+use whirls::{Flow, Scene};
+
+/// Measures, and prints what it measured.
+#[derive(Clone, Debug, Parser)]
+pub(crate) struct Arguments {
+    /// A small flow, once: whether it runs, not how fast.
+    #[arg(long)]
+    pub(crate) quick: bool,
+    /// Threads [default: all cores].
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    threads: usize,
+    /// How often everything is measured.
+    #[arg(long, default_value_t = 7)]
+    pub(crate) rounds: usize,
+    /// Measure this model only.
+    #[arg(long, value_name = "KIND")]
+    pub(crate) model: Option<String>,
+    /// That Cargo means to measure, and not to test.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+impl Arguments {
+    /// Those of the command line; `cargo test` gets the quick run, whatever it asks for.
+    pub(crate) fn read() -> Self {
+        let measured = std::env::args().any(|argument| argument == "--bench");
+        let tested = ["gradients", "--quick"];
+        let mut arguments = if measured { Self::parse() } else { Self::parse_from(tested) };
+        if arguments.quick {
+            arguments.rounds = 1;
+        }
+        rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global().unwrap();
+        arguments
+    }
+}
+
+/// A flow to measure: a truth, and a scene that learns from it.
+pub(crate) struct Setting {
+    pub(crate) scene: Scene,
+    pub(crate) truth: Truth<3>,
+    pub(crate) observations: Observations<3>,
+}
+
+impl Setting {
+    /// Ten steps of the paper's 4096 particles in 3D with the field loss; two of 216 for a quick run.
+    pub(crate) fn of_the_paper(arguments: &Arguments) -> Self {
+        let quick = ["fluid.particles_per_side=6", "fluid.smoothing_length=0.78", "learn.frames=2"];
+        let mut overrides = vec!["learn.windows=[]".to_owned()];
+        if arguments.quick {
+            overrides.extend(quick.map(str::to_owned));
+        }
+        let mut scene = Scene::open("inverse-3d", &overrides).unwrap();
+        let learn = learn(&mut scene).clone();
+        let truth = Truth::generate(&scene, (learn.after, learn.frames)).unwrap();
+        let observations = truth.observations(&scene, &learn).unwrap();
+        Self { scene, truth, observations }
+    }
+
+    /// Steps of a run.
+    pub(crate) fn steps(&self) -> u64 {
+        self.observations.frames.len() as u64
+    }
+}
+
+/// What a scene learns, to change.
+pub(crate) fn learn(scene: &mut Scene) -> &mut Learn {
+    scene.learn.as_mut().unwrap()
+}
+
+/// One run of what is measured; says how many bytes it held.
+pub(crate) type Run<'a> = Box<dyn FnMut() -> usize + 'a>;
+
+/// What a run took.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Took {
+    /// Median of its milliseconds.
+    pub(crate) milliseconds: f64,
+    /// Median of its time over that of the two runs of the reference around it.
+    pub(crate) ratio: f64,
+    /// Most bytes held.
+    pub(crate) bytes: usize,
+}
+
+/// Measures runs in turn, each between two runs of a reference, so that a machine that slows down or
+/// is shared with others slows both; the first in the result is the reference.
+pub(crate) fn in_turn(rounds: usize, mut reference: Run<'_>, runs: &mut [Run<'_>]) -> Vec<Took> {
+    let mut samples = vec![Vec::new(); runs.len() + 1];
+    let mut bytes = vec![0; runs.len() + 1];
+    // The first run of each finds its memory, and is not counted.
+    bytes[0] = reference();
+    runs.iter_mut().zip(&mut bytes[1..]).for_each(|(run, bytes)| *bytes = run());
+    for _ in 0..rounds {
+        let mut before = milliseconds(&mut reference);
+        samples[0].push((before, 1.0));
+        for (run, samples) in runs.iter_mut().zip(&mut samples[1..]) {
+            let own = milliseconds(run);
+            let behind = milliseconds(&mut reference);
+            samples.push((own, own / (0.5 * (before + behind))));
+            before = behind;
+        }
+    }
+    let took = |(samples, &bytes): (&Vec<(f64, f64)>, &usize)| Took {
+        milliseconds: median(samples.iter().map(|sample| sample.0)),
+        ratio: median(samples.iter().map(|sample| sample.1)),
+        bytes,
+    };
+    samples.iter().zip(&bytes).map(took).collect()
+}
+
+fn milliseconds(run: &mut Run<'_>) -> f64 {
+    let clock = Instant::now();
+    run();
+    1e3 * clock.elapsed().as_secs_f64()
+}
+
+/// The number in the middle, NaN of none.
+pub(crate) fn median(numbers: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = numbers.collect();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        count => 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]),
+    }
+}
+
+/// Bytes that the World of a flow holds for its particles.
+pub(crate) fn bytes_of(flow: &Flow<3>, particles: usize) -> usize {
+    let parts = flow.bytes_per_particle();
+    (parts.iter().map(|(_, bytes)| bytes).sum::<f64>() * particles as f64) as usize
+}

@@ -1,0 +1,168 @@
+//! What a gradient costs, in forward runs of the same model: adjoint and forward mode, model by model.
+
+#![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
+#![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
+
+mod common;
+
+use common::{Arguments, Run, Setting, Took, bytes_of, in_turn, learn};
+use whirls::flow::Differentiation;
+use whirls::models::{ModelChoice, Parameter};
+use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
+use whirls::{Flow, Scene};
+
+/// Snapshots of the adjoint with checkpoints.
+const SNAPSHOTS: usize = 3;
+
+/// Most forward runs that the adjoint of these may take, by the target.
+const TARGET: (f64, [&str; 2]) = (4.0, ["physics", "node"]);
+
+/// A model, with the numbers of parameters that forward mode is measured for.
+struct Contestant {
+    scene: Scene,
+    kind: &'static str,
+    learned: Vec<Parameter>,
+    columns: Vec<usize>,
+}
+
+fn main() {
+    let arguments = Arguments::read();
+    let setting = Setting::of_the_paper(&arguments);
+    let particles = setting.scene.particles();
+    println!(
+        "{particles} particles in 3D over {} steps, L_f, {} threads, medians of {} rounds\n",
+        setting.steps(),
+        rayon::current_num_threads(),
+        arguments.rounds
+    );
+    println!("ms, `x`: forward runs of the same model, MB held; adjoint of all parameters at once");
+    println!(
+        "{:8} {:>4}  {:>11}  {:>6}  {:>24}  {:>24}",
+        "model", "p", "forward run", "+ loss", "adjoint", "with 3 snapshots"
+    );
+    let mut tables = Vec::new();
+    for kind in ModelChoice::KINDS {
+        if arguments.model.as_ref().is_some_and(|model| model != kind) {
+            continue;
+        }
+        let contestant = Contestant::new(&setting, kind, arguments.quick);
+        let took = contestant.measure(&setting, arguments.rounds);
+        contestant.print_adjoint(&took);
+        tables.push((contestant, took));
+    }
+    println!("\nforward mode by number of parameters p, with the normal matrix it serves");
+    tables.iter().for_each(|(contestant, took)| contestant.print_forward_mode(took));
+}
+
+impl Contestant {
+    fn new(setting: &Setting, kind: &'static str, quick: bool) -> Self {
+        let mut scene = setting.scene.clone();
+        let learn = learn(&mut scene);
+        learn.model = toml::from_str(&format!("kind = '{kind}'")).unwrap();
+        let flow = Flow::<3>::build(&scene, &setting.truth.states[0], None, None).unwrap();
+        let weights = flow.weights().len();
+        let learned: Vec<Parameter> = match weights {
+            0 => Parameter::ALL.to_vec(),
+            _ => (0..weights as u32).map(Parameter::Weight).collect(),
+        };
+        let mut columns = match (kind, weights) {
+            ("physics", _) => vec![1, 2, 4, 5],
+            ("eos-nn" | "nn-sum", all) => vec![8, 16, 32, all],
+            _ => vec![8, 16, 32],
+        };
+        if quick {
+            columns.truncate(2);
+        }
+        Self { scene, kind, learned, columns }
+    }
+
+    /// How many parameters the adjoint is the gradient by: the paper learns four of physics.
+    fn count(&self) -> usize {
+        if self.kind == "physics" { 4 } else { self.learned.len() }
+    }
+
+    /// The forward run, that with the loss, the adjoint with both storages, then forward mode by number of columns.
+    fn measure(&self, setting: &Setting, rounds: usize) -> Vec<Took> {
+        let start = &setting.truth.states[0];
+        let build = |by: Option<&Differentiation>, observations| {
+            run_of(Flow::build(&self.scene, start, by, observations).unwrap(), setting)
+        };
+        let observed = || Some(setting.observations.clone());
+        let mut runs = vec![build(None, observed())];
+        for storage in [Storage::All, Storage::Checkpoints(SNAPSHOTS)] {
+            runs.push(self.adjoint(setting, storage));
+        }
+        for &count in &self.columns {
+            let parameters = self.learned[..count].to_vec();
+            let by = Differentiation { parameters, coupling: Coupling::Full };
+            runs.push(build(Some(&by), observed()));
+        }
+        in_turn(rounds, build(None, None), &mut runs)
+    }
+
+    fn adjoint<'a>(&self, setting: &'a Setting, storage: Storage) -> Run<'a> {
+        let (start, observations) = (&setting.truth.states[0], setting.observations.clone());
+        let mut flow = off_the_truth(Flow::with_adjoint(&self.scene, start, observations).unwrap());
+        let steps = setting.steps();
+        Box::new(move || adjoint_gradient(&mut flow, start, steps, storage).unwrap().bytes)
+    }
+
+    fn print_adjoint(&self, took: &[Took]) {
+        let (run, with_loss) = (took[0].milliseconds, took[1].ratio);
+        let mut line = format!("{:8} {:4}  {run:11.1}  {with_loss:5.2}x", self.kind, self.count());
+        for Took { milliseconds, ratio, bytes } in &took[2..4] {
+            line += &format!("  {milliseconds:7.1} {ratio:5.2}x {:5.1} MB", *bytes as f64 / 1e6);
+        }
+        let (target, held_to_it) = TARGET;
+        if held_to_it.contains(&self.kind) {
+            let verdict = if took[2].ratio <= target { "within" } else { "above" };
+            line += &format!("  {verdict} the target of {target} forward runs");
+        }
+        println!("{line}");
+    }
+
+    fn print_forward_mode(&self, took: &[Took]) {
+        let (adjoint, forward) = (took[2].ratio, &took[4..]);
+        let rows = self.columns.iter().zip(forward);
+        let cells = rows.map(|(p, took)| {
+            let megabytes = took.bytes as f64 / 1e6;
+            format!("p = {p}: {:.1} ms {:.2}x {megabytes:.0} MB", took.milliseconds, took.ratio)
+        });
+        println!("{:8} {}", self.kind, cells.collect::<Vec<_>>().join(", "));
+        let (first, last) = (0, self.columns.len() - 1);
+        let more = (self.columns[last] - self.columns[first]) as f64;
+        let each = (forward[last].ratio - forward[first].ratio) / more;
+        let until = forward.iter().rposition(|took| took.ratio <= adjoint);
+        let crossover = match until {
+            Some(k) if k == last => {
+                format!("cheaper than the adjoint up to p = {}", self.columns[k])
+            }
+            Some(k) => format!(
+                "cheaper than the adjoint up to p = {}, dearer from p = {}",
+                self.columns[k],
+                self.columns[k + 1]
+            ),
+            None => "dearer than the adjoint for any p measured".to_owned(),
+        };
+        println!("         {each:+.4} forward runs for each more parameter; {crossover}");
+    }
+}
+
+/// A flow run anew from the first true state.
+fn run_of(flow: Flow<3>, setting: &Setting) -> Run<'_> {
+    let mut flow = off_the_truth(flow);
+    let (start, steps) = (&setting.truth.states[0], setting.steps());
+    Box::new(move || {
+        flow.reset(start);
+        (0..steps).for_each(|_| flow.step().unwrap());
+        bytes_of(&flow, start.positions.len())
+    })
+}
+
+/// With other physical parameters than the truth's, so that there is something to differentiate.
+fn off_the_truth(mut flow: Flow<3>) -> Flow<3> {
+    let mut guess = flow.parameters();
+    guess.0.iter_mut().zip([0.8, 0.7, 1.3, 0.75, 0.9]).for_each(|(x, factor)| *x *= factor);
+    flow.set_parameters(guess);
+    flow
+}
