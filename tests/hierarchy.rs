@@ -204,6 +204,39 @@ fn antisymmetric_models_keep_momentum_and_the_others_say_how_much_they_lose() {
     }
 }
 
+/// A free cluster that does not reach around the box: its angular momentum is well defined.
+#[test]
+fn central_antisymmetric_models_exert_no_torque_and_the_others_say_how_much() {
+    for (model, keeps) in MODELS {
+        let mut scene = scene::<3>(model, "kick-drift-kick", LOSSES[1].1);
+        scene.limits.courant = 1e30;
+        let mut state = common::cloud::<3>(60, 0.4 * scene.fluid.box_length, 5);
+        let middle = whirls::vector::Vector([0.3 * scene.fluid.box_length; 3]);
+        state.positions.iter_mut().for_each(|r| *r += middle);
+        let mut flow = Flow::<3>::build(&scene, &state, None, None).unwrap();
+        let weights: Vec<f64> = (0..flow.weights().len()).map(|k| (1.3 * k as f64).sin()).collect();
+        flow.set_weights(&weights);
+        // No forcing: only the model's own forces act.
+        flow.set_parameters(whirls::models::Parameters([10.0, 1.0, 2.0, 7.0, 0.0]));
+        flow.start().unwrap();
+        let mut torque = glam::DVec3::ZERO;
+        let mut size = 0.0;
+        for (r, a) in state.positions.iter().zip(flow.accelerations()) {
+            let turn = glam::DVec3::from(*r).cross(glam::DVec3::from(a));
+            torque += turn;
+            size += turn.length();
+        }
+        let share = torque.length() / size;
+        println!("{model}: the torque of all pairs is {share:.1e} of Σ |r × a|");
+        let central = !model.contains("nn-sum");
+        if keeps && central {
+            assert!(share < 1e-13, "{model}: {share:e}");
+        } else {
+            assert!(share > 1e-8, "{model} should exert a torque: {share:e}");
+        }
+    }
+}
+
 #[test]
 fn a_neighbour_that_enters_the_support_brings_no_jump_with_a_window_and_one_without() {
     for (kind, options) in [("nn-sum", ""), ("rot-inv", ""), ("node", ",nearest=4")] {
