@@ -7,13 +7,15 @@
 
 mod field;
 mod increments;
+mod mesh;
 mod statistical;
 mod trajectory;
 
-pub use field::{Mesh, Points, field, field_adjoint, field_loss};
+pub use field::{Points, field, field_adjoint, field_loss};
 pub use increments::{
     Density1d, FEWEST_NODES, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
 };
+pub use mesh::Mesh;
 pub use statistical::{statistical_adjoint, statistical_loss};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 

@@ -17,12 +17,13 @@ use serde::{Deserialize, Serialize};
 ///
 /// | way | cost in forward runs | recommended |
 /// |---|---|---|
-/// | `forward` | 1, and 1 to 2 more per eight parameters | up to eight parameters; the only one that gives residual derivatives, which Levenberg–Marquardt needs |
-/// | `adjoint` | about 3 to 4, for any number of parameters | above; memory for the way back |
+/// | `forward` | 4 to 9 for the first eight parameters, 2 to 5 more for eight more | up to eight parameters; the only one that gives residual derivatives, which Levenberg–Marquardt needs |
+/// | `adjoint` | about 4, for any number of parameters | above; memory for the way back |
 /// | `auto` | the cheaper of the two | default |
 ///
-/// `train --check-gradient` prints what both cost on the scene at hand. The choice of `auto` is made
-/// from the number of parameters, not by the clock, so that equal seeds give equal bytes.
+/// `cargo bench --bench gradients` measures it; `train --check-gradient` prints what both cost on the
+/// scene at hand. The choice of `auto` is made from the number of parameters, not by the clock, so that
+/// equal seeds give equal bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Gradient {

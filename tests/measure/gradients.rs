@@ -35,10 +35,12 @@ fn main() {
         rayon::current_num_threads(),
         arguments.rounds
     );
-    println!("ms, `x`: forward runs of the same model, MB held; adjoint of all parameters at once");
+    println!(
+        "milliseconds, forward runs of the same model (x), MB held; the adjoint is by all parameters"
+    );
     println!(
         "{:8} {:>4}  {:>11}  {:>6}  {:>24}  {:>24}",
-        "model", "p", "forward run", "+ loss", "adjoint", "with 3 snapshots"
+        "model", "p", "forward run", "+ loss", "adjoint", "adjoint, 3 snapshots"
     );
     let mut tables = Vec::new();
     for kind in ModelChoice::KINDS {
