@@ -117,8 +117,9 @@ pub fn accelerate_pullback<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
+    let adjoint = &mut *adjoint;
     let AdjointCloud { packed: lines, position, velocity, scalars, parameters, shares, .. } =
-        &mut *adjoint;
+        adjoint;
     let (model, rooms, packed, space) = (&*law.0, &*rooms, &cloud.packed, neighbours.space);
     let one_way = model.passes_to_neighbours();
     shares.resize_with(neighbours.chunks.len(), Vec::new);
@@ -140,20 +141,13 @@ pub fn accelerate_pullback<const D: usize>(
         parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
     }
     if one_way {
-        fetch_shares(&neighbours.chunks, shares, (position, velocity, scalars));
+        fetch_shares(&neighbours.chunks, adjoint);
     }
 }
 
 /// Each particle takes what its neighbours' forces have left for it.
-fn fetch_shares<const D: usize>(
-    chunks: &[Chunk],
-    shares: &[Vec<PairShare<D>>],
-    (position, velocity, scalars): (
-        &mut [Vector<f64, D>],
-        &mut [Vector<f64, D>],
-        &mut [(f64, f64)],
-    ),
-) {
+fn fetch_shares<const D: usize>(chunks: &[Chunk], adjoint: &mut AdjointCloud<D>) {
+    let AdjointCloud { position, velocity, scalars, shares, .. } = adjoint;
     let rows = position.par_iter_mut().zip(velocity).zip(scalars).enumerate();
     rows.with_min_len(CHUNK).for_each(|(slot, ((position, velocity), scalars))| {
         let own = &chunks[slot / CHUNK];

@@ -262,13 +262,12 @@ pub fn sum_density_pullback<const D: usize>(
     let AdjointCloud { packed: lines, position, scalars, parameters, .. } = &mut *adjoint;
     let model = &*law.0;
     let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
-    let pass =
-        |(lines, (scalars, particles)): (&mut [PackedAdjoint], (&[(f64, f64)], &[Packed]))| {
-            rooms.enter(model.network(), |room| {
-                room.clear();
-                pull_stress_back(model, room, (scalars, particles), lines)
-            })
-        };
+    let pass = |(lines, rows): (&mut [PackedAdjoint], Rows<'_>)| {
+        rooms.enter(model.network(), |room| {
+            room.clear();
+            pull_stress_back(model, room, rows, lines)
+        })
+    };
     let count = cloud.len();
     let sums: Vec<_> = lines[..count].par_chunks_mut(CHUNK).zip(chunks).map(pass).collect();
     for sum in sums {
@@ -277,12 +276,15 @@ pub fn sum_density_pullback<const D: usize>(
     pull_density_back(&neighbours, model.medium(), (&cloud.packed, lines), position);
 }
 
+/// `(∂L/∂A, ∂L/∂ρ)` through the forces, and the particles.
+type Rows<'a> = (&'a [(f64, f64)], &'a [Packed]);
+
 /// `∂L/∂ρᵢ` of some particles, through their stress and besides, into `lines`; returns the sums over
 /// the parameters.
 fn pull_stress_back<const D: usize>(
     model: &dyn Model<D>,
     room: &mut Room,
-    (scalars, particles): (&[(f64, f64)], &[Packed]),
+    (scalars, particles): Rows<'_>,
     lines: &mut [PackedAdjoint],
 ) -> Vec<f64> {
     let network = model.network().filter(|_| model.has_stress_network());

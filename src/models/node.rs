@@ -118,6 +118,16 @@ impl<const D: usize> Node<D> {
         }
     }
 
+    /// `w r/h` and `w v/V`.
+    #[inline(always)]
+    fn inputs(&self, feature: &Feature<D>) -> [Vector<f64, D>; 2] {
+        let (w, _) = feature.window;
+        [
+            feature.separation * (w / self.units.length),
+            feature.velocity * (w / self.units.velocity),
+        ]
+    }
+
     /// Evaluates the network for the chunk's particles `first .. first + 8`.
     #[inline(always)]
     fn evaluate(&self, hood: Hood<'_>, first: usize, room: &mut Room) {
@@ -126,18 +136,14 @@ impl<const D: usize> Node<D> {
             self.find_nearest(hood, (first + lane, lane), room);
             for rank in 0..self.nearest {
                 let place = room.nearest[lane * self.nearest + rank];
-                let mut inputs = [[0.0; D]; 2];
-                if place != MISSING {
-                    let feature = self.feature(hood, first + lane, place);
-                    for axis in 0..D {
-                        let w = feature.window.0;
-                        inputs[0][axis] = feature.separation[axis] * w / self.units.length;
-                        inputs[1][axis] = feature.velocity[axis] * w / self.units.velocity;
-                    }
-                }
-                let row = &mut room.input[2 * D * rank..2 * D * (rank + 1)];
-                for (input, x) in row.iter_mut().zip(inputs.as_flattened()) {
-                    input.set_lane(lane, *x);
+                let [r, v] = match place {
+                    MISSING => [Vector::zero(); 2],
+                    _ => self.inputs(&self.feature(hood, first + lane, place)),
+                };
+                let row = &mut room.input[2 * D * rank..];
+                for axis in 0..D {
+                    row[axis].set_lane(lane, r[axis]);
+                    row[D + axis].set_lane(lane, v[axis]);
                 }
             }
         }
