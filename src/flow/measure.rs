@@ -96,7 +96,10 @@ impl<const D: usize> Flow<D> {
         ];
         if let Some(sensitivities) = self.world.get_resource::<SensitivityCloud<D>>() {
             let block = 3 * D * 64 + 8 + (2 * D + 2) * 64 + 64 + D * 64;
-            parts.push(("sensitivities", (block * sensitivities.blocks.len()) as f64));
+            let shared =
+                8 * (sensitivities.weight_shares.len() + sensitivities.stress_slopes.len());
+            let blocks = (block * sensitivities.blocks.len()) as f64;
+            parts.push(("sensitivities", blocks + shared as f64 / count));
         }
         parts
     }

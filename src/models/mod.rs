@@ -26,43 +26,46 @@
 //! | network by its inputs and weights | many → 1 or `d` | reverse ([`crate::network`]) |
 //! | loss by everything | many → 1 | adjoint, or forward for few parameters ([`crate::sensitivity`]) |
 //!
-//! **A law of your own** is a struct with two traits. Here springs between all that touch, of stiffness
-//! `c²/h²`, fading towards `2h`:
+//! **A law of your own** is a struct with two traits. Here soft spheres that push each other away
+//! with `k = 0.05 c²/h²`, fading towards `2h`:
 //!
 //! ```
 //! use whirls::models::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, Strength, Window};
 //! use whirls::{Flow, Scene, flow::State, pairs::Batch, scalar::Lanes, vector::Vector};
 //!
 //! #[derive(Clone, Debug)]
-//! struct Springs<const D: usize>(Medium<D>);
+//! struct SoftSpheres<const D: usize>(Medium<D>);
 //!
-//! impl<const D: usize> Springs<D> {
-//!     /// `fᵢⱼ = s rᵢⱼ` with `s = −(c²/h²) w(r)`, and its gradient.
+//! impl<const D: usize> SoftSpheres<D> {
+//!     /// `fᵢⱼ = s rᵢⱼ` with `s = k w(r)`, and its gradient.
 //!     fn strength(&self, pairs: &Batch<D>) -> Strength<Lanes> {
 //!         let (c, h) = (self.0.parameters.0[0], self.0.smoothing.h);
 //!         let (window, by_r2) = Window::new(h, true).at(pairs.pair.r2);
-//!         let zero = Lanes::ZERO;
+//!         let (k, zero) = (0.05 * c * c / (h * h), Lanes::ZERO);
 //!         Strength {
-//!             value: window * -(c * c / (h * h)),
-//!             by_separation: by_r2 * -(c * c / (h * h)),
+//!             value: window * k,
+//!             by_separation: by_r2 * k,
 //!             by_approach: zero,
 //!             by_stress: zero,
 //!             by_density: zero,
-//!             by_parameter: [window * -(2.0 * c / (h * h)), zero, zero],
+//!             by_parameter: [window * (2.0 * k / c), zero, zero],
 //!         }
 //!     }
 //! }
 //!
-//! impl<const D: usize> Constitutive<D> for Springs<D> {
+//! impl<const D: usize> Constitutive<D> for SoftSpheres<D> {
 //!     fn medium(&self) -> &Medium<D> {
 //!         &self.0
 //!     }
 //!     fn medium_mut(&mut self) -> &mut Medium<D> {
 //!         &mut self.0
 //!     }
+//!     fn sound_speed(&self, _: f64) -> f64 {
+//!         0.0 // pressure has no part in it, so no sound limits the step
+//!     }
 //! }
 //!
-//! impl<const D: usize> PairLaw<D> for Springs<D> {
+//! impl<const D: usize> PairLaw<D> for SoftSpheres<D> {
 //!     type Slope = CentralSlope<D>;
 //!     fn is_antisymmetric(&self) -> bool {
 //!         true
@@ -82,8 +85,8 @@
 //!
 //! let scene = Scene::open("inverse-2d", &["fluid.particles_per_side=16".into(), "fluid.smoothing_length=0.4".into()])?;
 //! let state = State::initial(&scene);
-//! let springs = Springs::<2>(Medium::of(&scene, state.positions.len()));
-//! let mut flow = Flow::with_own_model(&scene, &state, Box::new(springs))?;
+//! let spheres = SoftSpheres::<2>(Medium::of(&scene, state.positions.len()));
+//! let mut flow = Flow::with_own_model(&scene, &state, Box::new(spheres))?;
 //! (0..20).try_for_each(|_| flow.step())?;
 //! assert!(flow.momentum_rates().pressure.norm() < 1e-13 * flow.momentum_rates().scale);
 //! # Ok::<(), whirls::Error>(())

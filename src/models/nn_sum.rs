@@ -26,7 +26,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 5 and the paper's features (83 parameters in 3D), with a smooth window.
+    /// Height 5 and the features of the paper's Eq. (3) (83 parameters in 3D; the paper counts 113, its
+    /// code has twelve inputs), with a smooth window.
     fn default() -> Self {
         Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
     }

@@ -28,7 +28,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 5 and the paper's features (61 parameters), with a smooth window.
+    /// Height 5 and the features of the paper's Eq. (4) (61 parameters; the paper counts 66, its code has
+    /// a fifth input), with a smooth window.
     fn default() -> Self {
         Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
     }
