@@ -253,7 +253,11 @@ fn train_step<const D: usize>(iteration: &Iteration<'_>, lesson: &Lesson<D>) -> 
         window: iteration.window as u64,
         parameters: evaluation.parameters.clone(),
         gradients: evaluation.gradient.clone(),
-        truth: lesson.known.clone().unwrap_or_default(),
+        // Nobody knows the true weights of a network.
+        truth: match &lesson.known {
+            Some(known) if known.len() == evaluation.parameters.len() => known.clone(),
+            _ => Vec::new(),
+        },
         ..TrainStep::default()
     }
     .with_logarithms()

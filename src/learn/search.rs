@@ -58,8 +58,7 @@ impl<const D: usize> Learner<D> {
         guess: Vec<f64>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<(Vec<f64>, usize)> {
-        // Its flow is given back when it is done.
-        let Some(mut before) = self.warm_up.take() else { return Ok((guess, 0)) };
+        let Some(before) = &mut self.warm_up else { return Ok((guess, 0)) };
         let outcome = before.run(guess, &mut |iteration| match iteration.index {
             0 => Ok(()),
             _ => watch(iteration),

@@ -73,23 +73,15 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         near.neighbours(0)
     }
 
-    /// Calls `visit(slots, x − r, |x − r|)` for every particle in reach of the place `x`, eight at a
-    /// time.
+    /// `(x − r, |x − r|)` of eight particles from the place `x`.
     #[inline(always)]
-    fn around(
-        &self,
-        x: Vector<f64, D>,
-        near: &mut Chunk,
-        mut visit: impl FnMut(&[u32; WIDTH], Vector<Lanes, D>, Lanes),
-    ) {
-        for slots in self.find(x, near) {
-            let mut apart = Vector::<Lanes, D>::zero();
-            for axis in 0..D {
-                apart[axis] = Lanes::of(x[axis]) - gather(&self.columns[axis], slots, |x| *x);
-            }
-            let apart = self.points.space.minimum_image(apart);
-            visit(slots, apart, apart.norm_squared().sqrt());
+    fn apart(&self, x: Vector<f64, D>, slots: &[u32; WIDTH]) -> (Vector<Lanes, D>, Lanes) {
+        let mut apart = Vector::<Lanes, D>::zero();
+        for axis in 0..D {
+            apart[axis] = Lanes::of(x[axis]) - gather(&self.columns[axis], slots, |x| *x);
         }
+        let apart = self.points.space.minimum_image(apart);
+        (apart, apart.norm_squared().sqrt())
     }
 
     /// `V(x) = Σⱼ (m/ρⱼ) vⱼ W(|x − rⱼ|; h)`, Eq. (13).
@@ -97,14 +89,15 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     fn velocity(&self, x: Vector<f64, D>, near: &mut Chunk) -> Vector<f64, D> {
         let Points { packed, smoothing, .. } = self.points;
         let mut sum = Vector::zero();
-        self.around(x, near, |slots, _, r| {
+        for slots in self.find(x, near) {
+            let (_, r) = self.apart(x, slots);
             let weights = gather(&self.volumes, slots, |volume| *volume) * smoothing.value(r);
             for (lane, &slot) in slots.iter().enumerate() {
                 // Nobody comes last.
                 let Some(p) = packed.get(slot as usize) else { break };
                 sum += Vector::from_3d(p.velocity) * weights.lane(lane);
             }
-        });
+        }
         sum
     }
 
@@ -120,7 +113,9 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         let Points { packed, smoothing, .. } = self.points;
         let mut sum = Vector::zero();
         columns.fill(Lanes::ZERO);
-        self.around(x, near, |slots, apart, r| {
+        // A loop: the closure of a visitor is not inlined into vectorised functions.
+        for slots in self.find(x, near) {
+            let (apart, r) = self.apart(x, slots);
             let volume = gather(&self.volumes, slots, |volume| *volume);
             let (weights, pulls) = (volume * smoothing.value(r), volume * smoothing.gradient(r));
             for (lane, &slot) in slots.iter().enumerate() {
@@ -139,7 +134,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
                     }
                 }
             }
-        });
+        }
         sum
     }
 }

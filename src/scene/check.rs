@@ -197,7 +197,7 @@ fn loss_requirements(learn: &Learn) -> Vec<Requirement> {
         (
             !(second_order && kl > 0.0),
             "learn.optimiser",
-            "\"adam\" or \"rmsprop\" with learn.loss.kl, whose loss is not a sum of squares",
+            "\"lbfgs\", \"adam\" or \"rmsprop\" with learn.loss.kl, whose loss is not a sum of squares",
             "\"levenberg-marquardt\"".to_owned(),
         ),
     ]

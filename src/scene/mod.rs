@@ -4,19 +4,20 @@
 //! and what to do. The shipped scenes are compiled in; [`Scene::shipped`] finds them by name.
 
 mod check;
+mod learn;
 mod read;
 
+pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
 pub use crate::kernel::KernelName;
-use crate::models::{ModelChoice, Parameter, Parameters};
-use crate::sensitivity::{Coupling, Gradient, Storage};
+use crate::models::{ModelChoice, Parameters};
+use crate::sensitivity::Gradient;
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// A whole scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,189 +141,6 @@ pub struct Time {
     pub skin: f64,
 }
 
-/// What is learned, from what, and how.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Learn {
-    /// The model that predicts; all of its network's weights are learned.
-    #[serde(default)]
-    pub model: ModelChoice,
-    /// The physical parameters to learn: any of `c`, `alpha`, `beta`, `gamma`, `theta`.
-    #[serde(default)]
-    pub parameters: Vec<Parameter>,
-    /// Where the search starts; drawn uniformly from `(0, 1)` for a parameter not named here.
-    #[serde(default)]
-    pub guess: BTreeMap<String, f64>,
-    /// Steps of the truth before the first observed state, from which the prediction starts.
-    #[serde(default)]
-    pub after: u64,
-    /// Observed frames, one per step.
-    pub frames: usize,
-    /// Weights of the losses.
-    #[serde(default)]
-    pub loss: Weights,
-    /// Nodes of the field's mesh along each axis; as many as particles where it is not given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub mesh: Option<usize>,
-    /// Which velocity increments the statistical loss compares, and how.
-    #[serde(default)]
-    pub increments: Increments,
-    /// How the gradient is found; all ways agree to round-off.
-    #[serde(default)]
-    pub gradient: Gradient,
-    /// What an adjoint keeps of the way forward.
-    #[serde(default)]
-    pub storage: Storage,
-    /// Which derivatives the sensitivities keep.
-    #[serde(default)]
-    pub coupling: Coupling,
-    /// How the loss is brought down.
-    #[serde(default)]
-    pub optimiser: Optimiser,
-    /// A search before this one, by another loss or optimiser; its end is where this one starts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub warm_up: Option<WarmUp>,
-    /// Frames that count, stage by stage: a first short window makes the problem nearly linear.
-    /// The last stage is always all frames.
-    #[serde(default)]
-    pub windows: Vec<usize>,
-    /// Most iterations, over all stages.
-    #[serde(default = "defaults::iterations")]
-    pub iterations: usize,
-    /// The loss below which the search ends.
-    #[serde(default = "defaults::target")]
-    pub target: f64,
-}
-
-/// A search before the search, for losses that lead home only from nearby: same model, parameters and
-/// frames.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WarmUp {
-    /// Weights of the losses.
-    pub loss: Weights,
-    /// How the loss is brought down.
-    pub optimiser: Optimiser,
-    /// As [`Learn::windows`].
-    pub windows: Vec<usize>,
-    /// As [`Learn::iterations`].
-    pub iterations: usize,
-    /// As [`Learn::target`].
-    pub target: f64,
-}
-
-impl Default for WarmUp {
-    /// The field loss, by Levenberg–Marquardt.
-    fn default() -> Self {
-        Self {
-            loss: Weights::default(),
-            optimiser: Optimiser::default(),
-            windows: Vec::new(),
-            iterations: defaults::iterations(),
-            target: defaults::target(),
-        }
-    }
-}
-
-/// Weights of the losses; one at zero is not computed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Weights {
-    /// Of the trajectory loss.
-    pub trajectory: f64,
-    /// Of the field loss.
-    pub field: f64,
-    /// Of the statistical loss, which is no sum of squares.
-    pub kl: f64,
-}
-
-impl Default for Weights {
-    fn default() -> Self {
-        Self { trajectory: 0.0, field: 1.0, kl: 0.0 }
-    }
-}
-
-/// What the statistical loss compares: velocity increments `δu(τ) = u(τ) − u(0)`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Increments {
-    /// Which times `τ` count.
-    pub times: Times,
-    /// Nodes at which two densities are compared.
-    pub nodes: usize,
-}
-
-impl Default for Increments {
-    /// The paper's: the last time, 200 nodes.
-    fn default() -> Self {
-        Self { times: Times::Last, nodes: 200 }
-    }
-}
-
-/// The times of which increments count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Times {
-    /// The last frame of the window (default).
-    #[default]
-    Last,
-    /// Every frame of the window: the integral over time, `Σ dt L_kl`.
-    All,
-}
-
-impl Learn {
-    /// Weight of each frame that counts in the statistical loss, at a time step `dt`.
-    pub fn statistical_weight(&self, dt: f64) -> f64 {
-        match self.increments.times {
-            Times::Last => self.loss.kl,
-            Times::All => self.loss.kl * dt,
-        }
-    }
-}
-
-/// How the loss is brought down.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
-pub enum Optimiser {
-    /// Second order on the residuals: few iterations, few parameters.
-    LevenbergMarquardt {
-        /// First damping, relative to the diagonal of the normal matrix.
-        #[serde(default = "defaults::damping")]
-        damping: f64,
-    },
-    /// Curvature from the last gradients (limited-memory BFGS): for networks and statistical losses.
-    Lbfgs {
-        /// How many gradients are remembered.
-        #[serde(default = "defaults::memory")]
-        memory: usize,
-        /// Length of the very first step.
-        #[serde(default = "defaults::length")]
-        length: f64,
-    },
-    /// First order with momentum (Kingma & Ba 2014).
-    Adam {
-        /// Learning rate.
-        rate: f64,
-        /// Factor on the rate after each tenth of the iterations.
-        #[serde(default = "defaults::one")]
-        decay: f64,
-    },
-    /// First order, scaled by the recent size of the gradient.
-    Rmsprop {
-        /// Learning rate.
-        rate: f64,
-        /// Factor on the rate after each tenth of the iterations.
-        #[serde(default = "defaults::one")]
-        decay: f64,
-    },
-}
-
-impl Default for Optimiser {
-    fn default() -> Self {
-        Self::LevenbergMarquardt { damping: defaults::damping() }
-    }
-}
-
 /// What is recorded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -354,21 +172,6 @@ mod defaults {
     }
     pub(super) fn skin() -> f64 {
         0.2
-    }
-    pub(super) fn iterations() -> usize {
-        300
-    }
-    pub(super) fn target() -> f64 {
-        1e-26
-    }
-    pub(super) fn memory() -> usize {
-        30
-    }
-    pub(super) fn length() -> f64 {
-        0.1
-    }
-    pub(super) fn damping() -> f64 {
-        1e-3
     }
 }
 

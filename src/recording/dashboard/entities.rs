@@ -172,7 +172,11 @@ fn learning(
 ) -> RecordingStreamResult<()> {
     let names = shown_parameters(steps, run);
     let true_names = names.iter().map(|name| format!("{name} (truth)"));
-    let loss = Curves::new("train/log10_loss", ["log10 loss"]);
+    let parts = loss_parts(steps);
+    let loss = Curves::new(
+        "train/log10_loss",
+        std::iter::once("log10 loss").chain(parts.iter().map(|(name, _)| *name)),
+    );
     let parameters = Curves::new("train/parameters", names.clone());
     let truth = Curves::new("train/truth", true_names).faint();
     let errors = Curves::new("train/log10_error", names.clone());
@@ -183,7 +187,8 @@ fn learning(
     for step in steps {
         stream.set_duration_secs("time", step.iteration as f64);
         stream.set_time_sequence("iteration", i64::try_from(step.iteration).unwrap_or(i64::MAX));
-        loss.add(stream, &[step.log10_loss])?;
+        let shares = parts.iter().map(|(_, part)| log10(part(step), TrainStep::LOG10_FLOOR));
+        loss.add(stream, &std::iter::once(step.log10_loss).chain(shares).collect::<Vec<_>>())?;
         parameters.add(stream, &step.parameters)?;
         let slopes = step.gradients.iter().map(|slope| log10(*slope, 2.0 * TrainStep::LOG10_FLOOR));
         gradients.add(stream, &slopes.collect::<Vec<_>>())?;
@@ -193,6 +198,21 @@ fn learning(
         }
     }
     Ok(())
+}
+
+/// A part of the loss, with its name.
+type LossPart = (&'static str, fn(&TrainStep) -> f64);
+
+/// The parts of the loss that a search had, where it had more than one.
+fn loss_parts(steps: &[TrainStep]) -> Vec<LossPart> {
+    let all: [LossPart; 3] = [
+        ("of it trajectory", |step| step.loss_trajectory),
+        ("of it field", |step| step.loss_field),
+        ("of it kl", |step| step.loss_kl),
+    ];
+    let mut parts = all.to_vec();
+    parts.retain(|(_, part)| steps.iter().any(|step| part(step).abs() > 0.0));
+    if parts.len() < 2 { Vec::new() } else { parts }
 }
 
 fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStreamResult<()> {

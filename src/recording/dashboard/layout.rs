@@ -132,7 +132,8 @@ fn learning(content: &Content) -> Vec<Panel> {
     if !content.iterations {
         return Vec::new();
     }
-    let loss = Panel::plot("log10 loss, by iteration", &["/train/log10_loss"], None);
+    let loss =
+        Panel::plot("log10 loss, by iteration", &["/train/log10_loss"], Some(Corner2D::RightTop));
     let name = "log10 of |gradient|, by iteration";
     let gradient = Panel::plot(name, &["/train/log10_gradients"], Some(Corner2D::LeftBottom));
     if !content.errors {
