@@ -82,12 +82,16 @@ fn learner<const D: usize>(scene: &Scene, gradient: Gradient) -> Learner<D> {
     Learner::new(&scene, truth.states[0].clone(), observations).unwrap()
 }
 
-/// `|slope − exact|/|exact|` of the best of several central differences along a direction.
+/// How far the best of several central differences along a direction is from the slope that a gradient
+/// gives there, as a share of that slope, or of a thousandth of both lengths where that is more.
 fn difference<const D: usize>(
     learner: &mut Learner<D>,
     (at, direction): (&[f64], &[f64]),
-    exact: f64,
+    gradient: &[f64],
 ) -> f64 {
+    let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let exact: f64 = gradient.iter().zip(direction).map(|(g, d)| g * d).sum();
+    let size = exact.abs().max(1e-3 * length(gradient) * length(direction));
     let mut loss = |step: f64| {
         let moved: Vec<f64> = at.iter().zip(direction).map(|(x, d)| x + step * d).collect();
         learner.evaluate(&moved, FRAMES).unwrap().loss
@@ -97,7 +101,7 @@ fn difference<const D: usize>(
         let near = loss(step) - loss(-step);
         let far = loss(2.0 * step) - loss(-2.0 * step);
         for slope in [near / (2.0 * step), (8.0 * near - far) / (12.0 * step)] {
-            best = best.min(((slope - exact) / exact).abs());
+            best = best.min((slope - exact).abs() / size);
         }
         if best < 1e-8 {
             break;
@@ -124,10 +128,13 @@ fn forward_adjoint_and_differences_agree_for_every_model_loss_and_step<const D: 
                 let size = largest(a.gradient.iter().map(|g| g.abs()));
                 let gap =
                     largest(a.gradient.iter().zip(&b.gradient).map(|(a, b)| (a - b).abs() / size));
-                // The slope along the gradient, every weight and every parameter at once.
-                let direction: Vec<f64> = a.gradient.iter().map(|g| g / size).collect();
-                let slope: f64 = a.gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
-                let difference = difference(&mut backward, (&at, &direction), slope);
+                // Along the gradient, and across it, where what both ways forget would show.
+                let along: Vec<f64> = a.gradient.iter().map(|g| g / size).collect();
+                let across: Vec<f64> =
+                    (0..at.len()).map(|k| (1.7 * k as f64 + 0.3).sin()).collect();
+                let difference = [along, across]
+                    .map(|direction| difference(&mut backward, (&at, &direction), &a.gradient));
+                let difference = largest(difference.into_iter());
                 (apart, off) = (apart.max(gap), off.max(difference));
                 if !(gap <= 1e-10 && difference <= 1e-6) {
                     wrong.push(format!(

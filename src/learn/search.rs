@@ -260,11 +260,9 @@ impl<const D: usize> Learner<D> {
             };
             (search.index, search.window) = (search.index + 1, line.window);
             let done = lengths.accept(trial.as_ref().ok().map(|t| (t.loss, line.slope(t))));
-            let note = match &trial {
-                Ok(_) if done => None,
-                Ok(trial) => Some(format!("trial at length {rate:.2e}: {:.3e}", trial.loss)),
-                Err(error) => Some(format!("trial taken back: {error}")),
-            };
+            // A length that is too long or too short is a line search's daily bread; a flow that
+            // diverged is not.
+            let note = trial.as_ref().err().map(|error| format!("trial taken back: {error}"));
             found = trial.ok().filter(|t| t.loss < here.loss).or(found);
             let evaluation = found.as_ref().filter(|_| done).unwrap_or(here);
             let (index, window) = (search.index, line.window);

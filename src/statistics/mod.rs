@@ -1,5 +1,15 @@
 //! What is measured of a flow: what it keeps, and what each system gives away.
 
+mod dispersion;
+mod increments;
+mod spectrum;
+mod structure;
+
+pub use dispersion::{Displacement, close_pairs, pair_dispersion};
+pub use increments::Moments;
+pub use spectrum::energy_spectrum;
+pub use structure::{Structure, structure_functions};
+
 use crate::flow::Flow;
 use crate::models::{Parameter, Parameters};
 use crate::recording::Conservation;
