@@ -52,7 +52,7 @@ pub enum Phase {
     Visible,
     /// `ρᵏ⁺¹`, Eq. (17).
     Density,
-    /// The pair forces, Eq. (7).
+    /// The forces of the model, Eqs. (2) to (7).
     Force,
     /// The external forcing, A.3.
     Forcing,

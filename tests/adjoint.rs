@@ -7,7 +7,7 @@ use whirls::flow::{Differentiation, Flow, Snapshot};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
 use whirls::scene::{Scene, Weights};
-use whirls::sensitivity::{AdjointGradient, Coupling, Storage, adjoint_gradient};
+use whirls::sensitivity::{AdjointGradient, Coupling, Gradient, Storage, adjoint_gradient};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 
@@ -218,5 +218,25 @@ fn what_cannot_be_combined_with_the_adjoint_is_refused_with_a_reason() {
         let error = Scene::open("inverse-3d", &overrides).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(error.to_string().contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn the_way_is_chosen_by_what_the_search_needs() {
+    for (search, expected) in [
+        ("learn.optimiser={kind='lbfgs'}", Gradient::Adjoint),
+        ("learn.optimiser={kind='levenberg-marquardt'}", Gradient::Forward),
+    ] {
+        for (coupling, expected) in [("full", expected), ("local", Gradient::Forward)] {
+            let mut scene = scene(2, Step::Paper, "paper", Weights::default());
+            let overrides = [search.to_owned(), format!("learn.coupling={coupling}")];
+            let choice = Scene::open("inverse-2d", &overrides).unwrap().learn.unwrap();
+            if let Some(learn) = &mut scene.learn {
+                (learn.optimiser, learn.coupling) = (choice.optimiser, choice.coupling);
+            }
+            let truth = Truth::<2>::generate(&scene, (4, 5)).unwrap();
+            let learner = Learner::of_truth(&scene, &truth).unwrap();
+            assert_eq!(learner.gradient(), expected, "{search} {coupling}");
+        }
     }
 }

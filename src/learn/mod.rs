@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::models::{Medium, Parameter};
 use crate::scene::{Learn, Optimiser, Scene};
-use crate::sensitivity::{Gradient, adjoint_gradient};
+use crate::sensitivity::{Coupling, Gradient, adjoint_gradient};
 use crate::systems::loss::{LossSum, Observations};
 use crate::truth::Truth;
 use rand::RngExt;
@@ -84,7 +84,7 @@ impl<const D: usize> Learner<D> {
         let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
         let columns = columns::<D>(scene, &learn)?;
-        let gradient = learn.gradient.choose(columns.len(), residuals);
+        let gradient = learn.gradient.choose(residuals || learn.coupling == Coupling::Local);
         let frames = observations.frames.len();
         let flow = match gradient {
             Gradient::Adjoint => Flow::with_adjoint(scene, &from, observations)?,

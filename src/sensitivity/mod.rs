@@ -17,13 +17,13 @@ use serde::{Deserialize, Serialize};
 ///
 /// | way | cost in forward runs | recommended |
 /// |---|---|---|
-/// | `forward` | 4 to 9 for the first eight parameters, 2 to 5 more for eight more | up to eight parameters; the only one that gives residual derivatives, which Levenberg–Marquardt needs |
-/// | `adjoint` | about 4, for any number of parameters | above; memory for the way back |
-/// | `auto` | the cheaper of the two | default |
+/// | `forward` | 4 to 9 for the first eight parameters, 2 to 5 more for eight more | for Levenberg–Marquardt, which needs the residual derivatives that it alone gives |
+/// | `adjoint` | about 4, for any number of parameters | for everything else; memory for the way back |
+/// | `auto` | `adjoint`, and `forward` where only that will do | default |
 ///
 /// `cargo bench --bench gradients` measures it; `train --check-gradient` prints what both cost on the
-/// scene at hand. The choice of `auto` is made from the number of parameters, not by the clock, so that
-/// equal seeds give equal bytes.
+/// scene at hand. The choice of `auto` follows from those measurements, not from the clock of the day, so
+/// that equal seeds give equal bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Gradient {
@@ -37,11 +37,12 @@ pub enum Gradient {
 }
 
 impl Gradient {
-    /// The way taken for `parameters` parameters; `residuals` says whether the optimiser needs the
-    /// derivatives of every residual.
-    pub fn choose(self, parameters: usize, residuals: bool) -> Self {
+    /// The way taken: the adjoint, which was cheaper for every model at every number of parameters
+    /// measured, unless something only `forward` has is needed: the derivatives of every residual, or
+    /// local coupling.
+    pub fn choose(self, needs_forward: bool) -> Self {
         match self {
-            Self::Auto if residuals || parameters <= crate::scalar::WIDTH => Self::Forward,
+            Self::Auto if needs_forward => Self::Forward,
             Self::Auto => Self::Adjoint,
             given => given,
         }
