@@ -65,25 +65,11 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
         true
     }
 
-    fn medium(&self) -> &Medium<D> {
-        &self.medium
-    }
-
-    fn medium_mut(&mut self) -> &mut Medium<D> {
-        &mut self.medium
-    }
+    medium_and_network!();
 
     /// `c`: what the network makes of other densities is not known before it has learned.
     fn sound_speed(&self, _: f64) -> f64 {
         self.medium.parameters.0[0].abs()
-    }
-
-    fn network(&self) -> Option<&Learned> {
-        Some(&self.network)
-    }
-
-    fn network_mut(&mut self) -> Option<&mut Learned> {
-        Some(&mut self.network)
     }
 
     /// `A = S NN/ρ²`.

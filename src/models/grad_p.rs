@@ -83,21 +83,7 @@ impl<const D: usize> GradP<D> {
 }
 
 impl<const D: usize> Constitutive<D> for GradP<D> {
-    fn medium(&self) -> &Medium<D> {
-        &self.medium
-    }
-
-    fn medium_mut(&mut self) -> &mut Medium<D> {
-        &mut self.medium
-    }
-
-    fn network(&self) -> Option<&Learned> {
-        Some(&self.network)
-    }
-
-    fn network_mut(&mut self) -> Option<&mut Learned> {
-        Some(&mut self.network)
-    }
+    medium_and_network!();
 
     fn sound_speed(&self, _: f64) -> f64 {
         0.0

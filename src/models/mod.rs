@@ -120,6 +120,27 @@ use std::fmt::Debug;
 mod physics;
 pub use physics::Physics;
 
+/// The accessors of a model that keeps a `medium` and a `network` under these names.
+macro_rules! medium_and_network {
+    () => {
+        fn medium(&self) -> &Medium<D> {
+            &self.medium
+        }
+
+        fn medium_mut(&mut self) -> &mut Medium<D> {
+            &mut self.medium
+        }
+
+        fn network(&self) -> Option<&Learned> {
+            Some(&self.network)
+        }
+
+        fn network_mut(&mut self) -> Option<&mut Learned> {
+            Some(&mut self.network)
+        }
+    };
+}
+
 /// The models with a network: each line is a file, a type and a `kind` in scenes.
 macro_rules! hierarchy {
     ($($(#[$doc:meta])* $module:ident::$name:ident = $kind:literal;)*) => {
