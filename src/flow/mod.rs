@@ -84,9 +84,18 @@ fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
 }
 
 impl<const D: usize> Flow<D> {
-    /// The flow of a scene from its own initial state.
+    /// The flow of a scene from its own initial state, or from the end of its spin-up.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a scene of another dimension, [`Error::Diverged`] from the spin-up.
     pub fn new(scene: &Scene) -> Result<Self> {
-        Self::from_state(scene, &State::initial(scene))
+        let start = State::initial(scene);
+        let Some((before, steps)) = scene.before_start() else {
+            return Self::from_state(scene, &start);
+        };
+        let mut flow = Self::from_state(&before, &start)?;
+        (0..steps).try_for_each(|_| flow.step())?;
+        Self::from_state(scene, &flow.state())
     }
 
     /// The flow of a scene from a given state, by the scene's own law: the truth.

@@ -110,17 +110,23 @@ impl Scene {
                 show(self.limits.energy),
             ),
         ];
-        match self.forcing {
-            Forcing::None => {}
-            Forcing::Deterministic { theta, .. } => {
-                requirements.push((theta.is_finite(), "forcing.theta", "a number", show(theta)));
-            }
-            Forcing::Stochastic { interval, strength } => requirements.extend([
-                (positive(interval), "forcing.interval", "a positive time", show(interval)),
-                (strength.is_finite(), "forcing.strength", "a number", show(strength)),
-            ]),
-        }
+        requirements.extend(forcing_requirements(&self.forcing));
+        requirements.extend(self.spin_up.iter().flat_map(|up| forcing_requirements(&up.forcing)));
         requirements
+    }
+}
+
+fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
+    let show = |x: f64| format!("{x}");
+    match *forcing {
+        Forcing::None => Vec::new(),
+        Forcing::Deterministic { theta, .. } => {
+            vec![(theta.is_finite(), "forcing.theta", "a number", show(theta))]
+        }
+        Forcing::Stochastic { interval, strength } => vec![
+            (positive(interval), "forcing.interval", "a positive time", show(interval)),
+            (strength.is_finite(), "forcing.strength", "a number", show(strength)),
+        ],
     }
 }
 

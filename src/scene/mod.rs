@@ -38,6 +38,9 @@ pub struct Scene {
     /// Where particles start.
     #[serde(default)]
     pub initial: Initial,
+    /// What happens before the first step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spin_up: Option<SpinUp>,
     /// What stirs the flow.
     #[serde(default)]
     pub forcing: Forcing,
@@ -93,6 +96,17 @@ impl Default for Initial {
     fn default() -> Self {
         Self { jitter: 0.0025, velocity: 1.0 }
     }
+}
+
+/// A run before the run, stirred in a way of its own, so that the flow begins developed: step zero is
+/// its end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpinUp {
+    /// Steps of it.
+    pub steps: u64,
+    /// What stirs it.
+    pub forcing: Forcing,
 }
 
 /// What stirs the flow.
@@ -206,6 +220,14 @@ impl Scene {
         (learn.iterations, learn.target) = (iterations, target);
         learn.gradient = Gradient::Auto;
         Some(scene)
+    }
+
+    /// The scene of the spin-up, where there is one: this one with the spin-up's forcing.
+    pub fn before_start(&self) -> Option<(Self, u64)> {
+        let mut scene = self.clone();
+        let SpinUp { steps, forcing } = scene.spin_up.take()?;
+        scene.forcing = forcing;
+        Some((scene, steps))
     }
 
     /// Number of particles `N`.
