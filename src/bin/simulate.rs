@@ -1,12 +1,15 @@
 //! `simulate`: runs the flow of a scene forward.
 
 mod common;
+#[path = "common/flow.rs"]
+mod flow;
 #[path = "common/scene.rs"]
 mod scene;
 
 use clap::Parser;
 use common::{conclude, say, say_json};
-use scene::{SceneArguments, explain, in_dimension, progress};
+use flow::{in_dimension, progress};
+use scene::{SceneArguments, explain};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,8 +1,7 @@
-//! What commands with a scene share: options, progress, explanation.
+//! What commands with a scene share: options, explanation.
 
 use crate::common::say;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use whirls::{Result, Scene};
 
 /// Options that every command with a scene takes.
@@ -39,25 +38,6 @@ impl SceneArguments {
         Ok(scene)
     }
 }
-
-/// A bar on standard error with rate and estimate; nothing where that is not a terminal.
-pub(crate) fn progress(length: u64, what: &'static str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    let template = "{prefix:>10} [{bar:30}] {pos}/{len} {msg} ({elapsed}, {eta} left)";
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar.set_prefix(what);
-    bar
-}
-
-/// Runs `$run::<D>($($argument),*)` with the scene's dimension as `D`.
-macro_rules! in_dimension {
-    ($scene:expr, $run:ident($($argument:expr),*)) => {
-        if $scene.dimension == 2 { $run::<2>($($argument),*) } else { $run::<3>($($argument),*) }
-    };
-}
-pub(crate) use in_dimension;
 
 /// Prints the systems of one step, in order, and the memory of one particle, by part.
 pub(crate) fn explain<const D: usize>(flow: &mut whirls::Flow<D>) -> Result<()> {

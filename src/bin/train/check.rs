@@ -1,11 +1,11 @@
 //! What a gradient is worth: against other ways to find it, and with less of it.
 
-use crate::Lesson;
 use crate::common::{say, say_json};
-use crate::scene::progress;
+use crate::flow::progress;
 use serde::Serialize;
 use std::time::Instant;
 use whirls::learn::{Evaluation, Learner};
+use whirls::run::Lesson;
 use whirls::scene::Optimiser;
 use whirls::sensitivity::{Coupling, Gradient, compare_along_gradient, compare_component};
 use whirls::{Error, Result, Scene};

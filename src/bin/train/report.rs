@@ -1,88 +1,11 @@
-//! What `train` ends with, in words and as JSON.
+//! What `train` ends with, in words.
 
-use crate::Lesson;
 use crate::common::say;
-use serde::Serialize;
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-use whirls::Scene;
-use whirls::learn::{Learner, Outcome};
 use whirls::models::Parameter;
-
-/// The object of `--json`.
-#[derive(Serialize)]
-pub(crate) struct Report {
-    pub(crate) scene: String,
-    pub(crate) model: &'static str,
-    pub(crate) particles: usize,
-    pub(crate) steps: usize,
-    pub(crate) gradient: &'static str,
-    pub(crate) iterations: usize,
-    pub(crate) loss_initial: f64,
-    pub(crate) loss_final: f64,
-    pub(crate) parameters: BTreeMap<String, f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) truth: Option<BTreeMap<String, f64>>,
-    pub(crate) seconds: Seconds,
-    pub(crate) recording: PathBuf,
-    pub(crate) losses: Losses,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) kl_floor: Option<f64>,
-    /// Largest difference of a learned pressure from the true one, over the densities seen.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) pressure_error: Option<f64>,
-}
-
-/// The parts of the final loss.
-#[derive(Serialize)]
-pub(crate) struct Losses {
-    pub(crate) trajectory: f64,
-    pub(crate) field: f64,
-    pub(crate) kl: f64,
-}
-
-#[derive(Serialize)]
-pub(crate) struct Seconds {
-    pub(crate) truth: f64,
-    pub(crate) train: f64,
-}
-
-/// What `--json` prints of a search.
-pub(crate) fn report<const D: usize>(
-    scene: &Scene,
-    (lesson, learner): (&Lesson<D>, &Learner<D>),
-    outcome: &Outcome,
-    (train, recording): (f64, PathBuf),
-) -> Report {
-    let named = |values: &[f64]| {
-        let names = learner.columns().iter().map(|p: &Parameter| p.name().into_owned());
-        names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
-    };
-    Report {
-        scene: scene.name.clone(),
-        model: lesson.learn.model.kind(),
-        particles: lesson.truth.densities[0].len(),
-        steps: lesson.learn.frames,
-        gradient: learner.gradient().name(),
-        iterations: outcome.iterations,
-        loss_initial: outcome.initial_loss,
-        loss_final: outcome.evaluation.loss,
-        parameters: named(&outcome.evaluation.parameters),
-        truth: lesson.known.as_deref().map(named),
-        seconds: Seconds { truth: lesson.seconds, train },
-        recording,
-        losses: Losses {
-            trajectory: outcome.evaluation.trajectory,
-            field: outcome.evaluation.field,
-            kl: outcome.evaluation.kl,
-        },
-        kl_floor: None,
-        pressure_error: None,
-    }
-}
+use whirls::run::{Losses, TrainingReport};
 
 /// Prints a report in words.
-pub(crate) fn describe(report: &Report) {
+pub(crate) fn describe(report: &TrainingReport) {
     say(format!(
         "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations, gradient {} ({:.1} s)",
         report.scene,

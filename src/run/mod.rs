@@ -1,5 +1,11 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
+mod training;
+
+pub use training::{
+    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, what,
+};
+
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};

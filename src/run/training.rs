@@ -1,0 +1,339 @@
+//! A training from beginning to end: truth, search, learned flow, all of it recorded.
+
+use super::{frame, run_info, run_recorded, truth_from_recording};
+use crate::error::{Error, Result};
+use crate::flow::Flow;
+use crate::learn::{Iteration, Learner, Outcome};
+use crate::models::Parameter;
+use crate::recording::{self, Level, Recorder, Recording, TrainStep};
+use crate::scene::{Learn, Scene};
+use crate::statistics::pressure_error;
+use crate::truth::{Truth, statistical_floor};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What is learned from: the truth, and its parameters where they are known.
+#[derive(Clone, Debug)]
+pub struct Lesson<const D: usize> {
+    /// What the scene asks for.
+    pub learn: Learn,
+    /// The true states.
+    pub truth: Truth<D>,
+    /// The true values of the learned physical parameters, where the truth was made on the spot.
+    pub known: Option<Vec<f64>>,
+    /// How long it took to make or to read it.
+    pub seconds: f64,
+}
+
+impl<const D: usize> Lesson<D> {
+    /// From the true particles of a recording, or by the scene's own law.
+    ///
+    /// # Errors
+    /// As [`truth_from_recording`] and [`Truth::generate`].
+    pub fn new(scene: &Scene, recorded: Option<&Path>) -> Result<Self> {
+        let learn = scene.learning()?.clone();
+        let clock = Instant::now();
+        let (truth, known) = match recorded {
+            Some(path) => {
+                let part = (learn.after as usize, learn.frames);
+                (truth_from_recording(&Recording::open(path)?, scene, part)?, None)
+            }
+            None => {
+                let parameters = scene.parameters();
+                let known = learn.parameters.iter().map(|&p| parameters.get(p)).collect();
+                (Truth::generate(scene, (learn.after, learn.frames))?, Some(known))
+            }
+        };
+        Ok(Self { learn, truth, known, seconds: clock.elapsed().as_secs_f64() })
+    }
+}
+
+/// How far a training is.
+#[derive(Clone, Copy, Debug)]
+pub enum Progress<'a> {
+    /// One more true flow was run for the sampling floor.
+    Floor,
+    /// One more iteration.
+    Iteration(&'a Iteration<'a>),
+}
+
+/// A training that is about to begin.
+pub struct Training<'a, const D: usize> {
+    /// What is learned, and how.
+    pub scene: &'a Scene,
+    /// What from.
+    pub lesson: &'a Lesson<D>,
+    /// Where it is recorded.
+    pub record: &'a Path,
+    /// Whether the sampling floor is measured, too: two more runs of the truth.
+    pub floor: bool,
+}
+
+impl<const D: usize> Training<'_, D> {
+    /// Searches from a guess and records truth, search and learned flow.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] where the search meets no flow that can be trusted, [`Error::File`] from the
+    /// recorder.
+    pub fn run(
+        &self,
+        learner: &mut Learner<D>,
+        guess: Vec<f64>,
+        watch: &mut dyn FnMut(Progress<'_>),
+    ) -> Result<TrainingReport> {
+        let mut recorder = self.record_truth(learner)?;
+        let kl_floor = self.measure_floor(&mut recorder, watch)?;
+        recorder.checkpoint()?;
+        let clock = Instant::now();
+        let outcome = self.search(learner, guess, (&mut recorder, watch)).and_then(|outcome| {
+            let error = self.record_learned(learner, &outcome, &mut recorder)?;
+            Ok((outcome, error))
+        });
+        let (level, text) = match &outcome {
+            Ok((o, _)) => (
+                Level::Info,
+                format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations),
+            ),
+            Err(error) => (Level::Error, error.to_string()),
+        };
+        let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
+        recorder.log(level, end, text)?;
+        recorder.finish()?;
+        let seconds = Seconds { truth: self.lesson.seconds, train: clock.elapsed().as_secs_f64() };
+        let (outcome, pressure_error) = outcome?;
+        let report = self.report(learner, &outcome, seconds);
+        Ok(TrainingReport { kl_floor, pressure_error, ..report })
+    }
+
+    /// Begins a recording: the truth, and what is to be learned from it.
+    fn record_truth(&self, learner: &Learner<D>) -> Result<Recorder> {
+        let Self { scene, lesson, record, .. } = self;
+        let mut info = run_info(scene, "train");
+        info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+        let mut recorder = Recorder::create(record, &info)?;
+        let states = lesson.truth.states.iter().zip(&lesson.truth.densities);
+        for (k, (state, densities)) in states.enumerate() {
+            recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
+        }
+        let (what, gradient) = (what(learner), learner.gradient().name());
+        let frames = lesson.learn.frames;
+        let text = format!("learning {what} from {frames} steps, gradient: {gradient}");
+        recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
+        Ok(recorder)
+    }
+
+    /// The sampling floor of the statistical loss, also in the log, from the truth and two more of other
+    /// seeds; none where that loss is not asked for or only one truth is there.
+    fn measure_floor(
+        &self,
+        recorder: &mut Recorder,
+        watch: &mut dyn FnMut(Progress<'_>),
+    ) -> Result<Option<f64>> {
+        let Lesson { learn, truth, known, .. } = self.lesson;
+        if learn.loss.kl <= 0.0 || !self.floor || known.is_none() {
+            return Ok(None);
+        }
+        let mut other = |more: u64| {
+            let seed = self.scene.seed.wrapping_add(more);
+            let scene = Scene { seed, ..self.scene.clone() };
+            let truth = Truth::<D>::generate(&scene, (learn.after, learn.frames));
+            watch(Progress::Floor);
+            truth
+        };
+        let found = other(1)
+            .and_then(|second| statistical_floor(&[truth, &second, &other(2)?], self.scene, learn));
+        let (level, text) = match &found {
+            Ok(floor) => {
+                (Level::Info, format!("sampling floor of the statistical loss {floor:.2e}"))
+            }
+            Err(error) => (Level::Warning, format!("no sampling floor: {error}")),
+        };
+        recorder.log(level, truth.states[0].time, text)?;
+        Ok(found.ok())
+    }
+
+    fn search(
+        &self,
+        learner: &mut Learner<D>,
+        guess: Vec<f64>,
+        (recorder, watch): (&mut Recorder, &mut dyn FnMut(Progress<'_>)),
+    ) -> Result<Outcome> {
+        let start = self.lesson.truth.states[0].time;
+        learner.run(guess, &mut |iteration: &Iteration<'_>| {
+            watch(Progress::Iteration(iteration));
+            recorder.train_step(self.train_step(iteration))?;
+            if let Some(note) = &iteration.note {
+                let text = format!("iteration {}: {note}", iteration.index);
+                recorder.log(Level::Warning, start, text)?;
+            }
+            recorder.checkpoint()
+        })
+    }
+
+    fn train_step(&self, iteration: &Iteration<'_>) -> TrainStep {
+        let evaluation = iteration.evaluation;
+        TrainStep {
+            iteration: iteration.index as u64,
+            loss: evaluation.loss,
+            loss_trajectory: evaluation.trajectory,
+            loss_field: evaluation.field,
+            loss_kl: evaluation.kl,
+            gradient_norm: evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
+            learning_rate_or_damping: iteration.rate,
+            window: iteration.window as u64,
+            parameters: evaluation.parameters.clone(),
+            gradients: evaluation.gradient.clone(),
+            // Nobody knows the true weights of a network.
+            truth: match &self.lesson.known {
+                Some(known) if known.len() == evaluation.parameters.len() => known.clone(),
+                _ => Vec::new(),
+            },
+            ..TrainStep::default()
+        }
+        .with_logarithms()
+    }
+
+    /// Runs the learned flow once more, and records it beside the truth; returns how far a learned
+    /// pressure is from the true one.
+    fn record_learned(
+        &self,
+        learner: &Learner<D>,
+        outcome: &Outcome,
+        recorder: &mut Recorder,
+    ) -> Result<Option<f64>> {
+        let Self { scene, lesson, .. } = self;
+        let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
+        flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
+        let steps = (lesson.learn.frames as u64, scene.record.every);
+        run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
+        // A learned equation of state can be held against the true one.
+        let learned = flow.model().has_stress_network() && lesson.known.is_some();
+        let seen = lesson.truth.densities_seen();
+        Ok(learned.then(|| pressure_error(&flow, &scene.parameters(), seen)))
+    }
+
+    fn report(&self, learner: &Learner<D>, outcome: &Outcome, seconds: Seconds) -> TrainingReport {
+        let named = |values: &[f64]| {
+            let names = learner.columns().iter().map(|p: &Parameter| p.name().into_owned());
+            names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
+        };
+        let evaluation = &outcome.evaluation;
+        TrainingReport {
+            scene: self.scene.name.clone(),
+            model: self.lesson.learn.model.kind().to_owned(),
+            particles: self.lesson.truth.densities[0].len(),
+            steps: self.lesson.learn.frames,
+            gradient: learner.gradient().name().to_owned(),
+            iterations: outcome.iterations,
+            loss_initial: outcome.initial_loss,
+            loss_final: evaluation.loss,
+            parameters: named(&evaluation.parameters),
+            truth: self.lesson.known.as_deref().map(named),
+            seconds,
+            recording: self.record.to_owned(),
+            losses: Losses {
+                trajectory: evaluation.trajectory,
+                field: evaluation.field,
+                kl: evaluation.kl,
+            },
+            kl_floor: None,
+            pressure_error: None,
+        }
+    }
+}
+
+/// What is learned, in words.
+pub fn what<const D: usize>(learner: &Learner<D>) -> String {
+    let (weights, physical): (Vec<Parameter>, Vec<Parameter>) =
+        learner.columns().iter().partition(|p| matches!(p, Parameter::Weight(_)));
+    let mut names: Vec<String> = physical.iter().map(|p| p.name().into_owned()).collect();
+    if !weights.is_empty() {
+        names.push(format!("{} weights", weights.len()));
+    }
+    names.join(", ")
+}
+
+/// The last parameters of an earlier recording, to go on from.
+///
+/// # Errors
+/// [`Error::Input`] where that recording learned something else.
+pub fn earlier_guess<const D: usize>(path: &Path, learner: &Learner<D>) -> Result<Vec<f64>> {
+    let earlier = Recording::open(path)?;
+    let names: Vec<String> = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+    let steps = earlier.train_steps()?;
+    match steps.last() {
+        Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),
+        _ => Err(Error::input(
+            path.display(),
+            format!("at least one iteration over {}", what(learner)),
+            format!("{} iterations over {}", steps.len(), earlier.run().parameters.join(", ")),
+            "resume with the scene that wrote the recording",
+        )),
+    }
+}
+
+/// What a training comes to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainingReport {
+    /// Name of the scene.
+    pub scene: String,
+    /// Kind of the model.
+    pub model: String,
+    /// Number of particles.
+    pub particles: usize,
+    /// Observed steps.
+    pub steps: usize,
+    /// How the gradient was found.
+    pub gradient: String,
+    /// Iterations of the search.
+    pub iterations: usize,
+    /// Loss of the guess; infinite, and `null` in JSON, where its flow diverges.
+    #[serde(deserialize_with = "infinite_or")]
+    pub loss_initial: f64,
+    /// Loss at the end.
+    pub loss_final: f64,
+    /// Learned parameters by name.
+    pub parameters: BTreeMap<String, f64>,
+    /// True ones, where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<BTreeMap<String, f64>>,
+    /// Wall-clock time.
+    pub seconds: Seconds,
+    /// Where everything was recorded.
+    pub recording: PathBuf,
+    /// Parts of the final loss.
+    pub losses: Losses,
+    /// The statistical loss between realisations of the truth.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kl_floor: Option<f64>,
+    /// Largest difference of a learned pressure from the true one, over the densities seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pressure_error: Option<f64>,
+}
+
+/// Parts of a loss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Losses {
+    /// Of trajectories.
+    pub trajectory: f64,
+    /// Of fields.
+    pub field: f64,
+    /// Of velocity increments.
+    pub kl: f64,
+}
+
+/// Wall-clock times in seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Seconds {
+    /// To make or read the truth.
+    pub truth: f64,
+    /// To search, and to record it.
+    pub train: f64,
+}
+
+/// JSON has no infinity.
+fn infinite_or<'de, R: serde::Deserializer<'de>>(reader: R) -> std::result::Result<f64, R::Error> {
+    Ok(Option::deserialize(reader)?.unwrap_or(f64::INFINITY))
+}
