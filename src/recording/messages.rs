@@ -277,3 +277,21 @@ pub struct Conservation {
     #[prost(double, required, tag = "11")]
     pub courant: f64,
 }
+
+/// `whirls.Values`: named numbers at one step, such as the errors of several models (any topic of its
+/// own).
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Values {
+    /// Which step, from 0.
+    #[prost(uint64, tag = "1")]
+    pub step: u64,
+    /// Simulation time.
+    #[prost(double, required, tag = "2")]
+    pub time: f64,
+    /// What each number is: the same names in every message of a topic.
+    #[prost(string, repeated, tag = "3")]
+    pub names: Vec<String>,
+    /// The numbers.
+    #[prost(double, repeated, tag = "4")]
+    pub values: Vec<f64>,
+}

@@ -3,6 +3,8 @@
 //! | topic | message | time | written by |
 //! |---|---|---|---|
 //! | `/truth/particles`, `/learned/particles` | `foxglove.PointCloud` | simulation time | [`Recorder::frame`] |
+//! | `/NAME/particles` | `foxglove.PointCloud` | simulation time | [`Recorder::frame_of`] |
+//! | any other | `whirls.Values` | simulation time | [`Recorder::values`] |
 //! | any other | `foxglove.PointCloud` with named columns | simulation time | [`Recorder::cloud`] |
 //! | `/train/step` | `whirls.TrainStep` | iteration × 1 s | [`Recorder::train_step`] |
 //! | `/diag/conservation` | `whirls.Conservation` | simulation time | [`Recorder::conservation`] |
@@ -35,7 +37,7 @@ mod wire;
 
 pub use cloud::{Cloud, Column, Frame};
 pub use colour::colour;
-pub use messages::{Conservation, Level, TrainStep};
+pub use messages::{Conservation, Level, TrainStep, Values};
 pub use reader::{LogLine, Recording};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use prost::Message;
 
-use super::messages::{Conservation, Level, Log, Scene, TrainStep};
+use super::messages::{Conservation, Level, Log, Scene, TrainStep, Values};
 use super::schemas::Schema;
 use super::source::Source;
 use super::{Cloud, DAMAGED, Flow, Frame, RunInfo, clock, topic};
@@ -83,14 +83,23 @@ impl Recording {
 
     /// The topics that carry particles, the two flows included.
     pub fn cloud_topics(&self) -> Vec<String> {
-        let is_cloud = |topic: &str| {
+        self.topics_of(Schema::PointCloud)
+    }
+
+    /// The topics that carry named numbers.
+    pub fn value_topics(&self) -> Vec<String> {
+        self.topics_of(Schema::Values)
+    }
+
+    fn topics_of(&self, schema: Schema) -> Vec<String> {
+        let has_schema = |topic: &str| {
             let mut channels = self.source.channels.values();
             channels.find(|channel| channel.topic == topic).is_some_and(|channel| {
-                let schema = self.source.schemas.get(&channel.schema);
-                schema.is_some_and(|schema| schema.name == Schema::PointCloud.name())
+                let found = self.source.schemas.get(&channel.schema);
+                found.is_some_and(|found| found.name == schema.name())
             })
         };
-        self.counts().into_keys().filter(|topic| is_cloud(topic)).collect()
+        self.counts().into_keys().filter(|topic| has_schema(topic)).collect()
     }
 
     /// How many frames a flow has.
@@ -146,6 +155,14 @@ impl Recording {
     /// [`Error::Input`] if one is damaged.
     pub fn train_steps(&self) -> Result<Vec<TrainStep>> {
         decode_all(&self.source, topic::TRAIN_STEP, &self.place)
+    }
+
+    /// All named numbers of a topic.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if a message is damaged.
+    pub fn values(&self, topic: &str) -> Result<Vec<Values>> {
+        decode_all(&self.source, topic, &self.place)
     }
 
     /// All records of what the flow should keep.

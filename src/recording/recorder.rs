@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 
 use prost::Message as _;
 
-use super::messages::{Conservation, Level, Log, TrainStep};
+use super::messages::{Conservation, Level, Log, TrainStep, Values};
 use super::schemas::Schema;
 use super::sink::{Entry, Sink};
 use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
@@ -59,6 +59,8 @@ enum Order {
     TrainStep(TrainStep),
     Conservation(Conservation),
     Log(Log),
+    Values { topic: String, values: Values },
+    Attachment { name: String, media_type: &'static str, data: Vec<u8> },
     Checkpoint(SyncSender<()>),
 }
 
@@ -98,16 +100,31 @@ impl Recorder {
     /// [`Error::Input`] if the columns differ in length or a two-dimensional frame has a third
     /// coordinate; [`Error::File`] if writing has failed.
     pub fn frame(&mut self, flow: Flow, frame: Frame) -> Result<()> {
+        self.order_frame(flow.topic(), frame)
+    }
+
+    /// Records the particles of one of several learned flows, coloured by speed, on the topic
+    /// `/NAME/particles`.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame), and [`Error::Input`] for the name of a flow that has a meaning.
+    pub fn frame_of(&mut self, name: &str, frame: Frame) -> Result<()> {
+        let topic = format!("/{name}/particles");
+        own_topic(&topic)?;
+        self.order_frame(&topic, frame)
+    }
+
+    fn order_frame(&mut self, topic: &str, frame: Frame) -> Result<()> {
         if frame.velocities.len() != frame.positions.len() {
             return Err(Error::input(
-                format!("{}, step {}", flow.topic(), frame.step),
+                format!("{topic}, step {}", frame.step),
                 format!("{} velocities, one per position", frame.positions.len()),
                 frame.velocities.len(),
                 "give every particle a velocity",
             ));
         }
         let shade = Shade::Speed(self.speed_scale);
-        self.order_cloud(flow.topic(), frame.into_cloud(), shade)
+        self.order_cloud(topic, frame.into_cloud(), shade)
     }
 
     /// Records particles with any columns on a topic of their own, such as
@@ -117,14 +134,7 @@ impl Recorder {
     /// [`Error::Input`] if lengths or names do not fit, or the topic is used for something else;
     /// [`Error::File`] if writing has failed.
     pub fn cloud(&mut self, topic: &str, cloud: Cloud, shade: Vec<f64>) -> Result<()> {
-        if !topic.starts_with('/') || topic::is_reserved(topic) {
-            return Err(Error::input(
-                format!("topic {topic:?}"),
-                "a topic that starts with `/` and has no meaning yet",
-                topic,
-                "choose another name, such as /learned/sensitivity/alpha",
-            ));
-        }
+        own_topic(topic)?;
         if shade.len() != cloud.positions.len() {
             return Err(Error::input(
                 topic,
@@ -150,6 +160,29 @@ impl Recorder {
     /// [`Error::File`] if writing has failed.
     pub fn conservation(&mut self, conservation: Conservation) -> Result<()> {
         self.order(Order::Conservation(conservation))
+    }
+
+    /// Records named numbers on a topic of their own, such as `/errors/field`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the topic is used for something else or a name is missing;
+    /// [`Error::File`] if writing has failed.
+    pub fn values(&mut self, topic: &str, values: Values) -> Result<()> {
+        own_topic(topic)?;
+        if values.names.len() != values.values.len() {
+            let expected = format!("{} values, one per name", values.names.len());
+            let found = values.values.len();
+            return Err(Error::input(topic, expected, found, "give every name a value"));
+        }
+        self.order(Order::Values { topic: topic.into(), values })
+    }
+
+    /// Attaches a file.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed.
+    pub fn attach(&mut self, name: &str, media_type: &'static str, data: Vec<u8>) -> Result<()> {
+        self.order(Order::Attachment { name: name.into(), media_type, data })
     }
 
     /// Records a line of text at a simulation time.
@@ -228,6 +261,19 @@ impl Drop for Recorder {
     }
 }
 
+/// Refuses a topic that means something else.
+fn own_topic(topic: &str) -> Result<()> {
+    if topic.starts_with('/') && !topic::is_reserved(topic) {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("topic {topic:?}"),
+        "a topic that starts with `/` and has no meaning yet",
+        topic,
+        "choose another name, such as /learned/sensitivity/alpha",
+    ))
+}
+
 /// The writing thread: obeys until the queue is closed, then completes the file.
 fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
     for order in orders {
@@ -245,6 +291,15 @@ fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
                 let count = sink.count(topic::LOG);
                 let times = (clock::nanoseconds(log.simulation_time), clock::ticks(count));
                 write(&mut sink, topic::LOG, times, &log.encode_to_vec())?;
+            }
+            Order::Values { topic, values } => {
+                let schema = Schema::Values;
+                sink.channel(&topic, schema.name(), || schema.descriptors())?;
+                let times = (clock::nanoseconds(values.time), clock::ticks(values.step));
+                write(&mut sink, &topic, times, &values.encode_to_vec())?;
+            }
+            Order::Attachment { name, media_type, data } => {
+                sink.attach(&name, media_type, &data)?;
             }
             Order::Checkpoint(done) => {
                 sink.flush()?;

@@ -19,6 +19,7 @@ pub(super) enum Schema {
     Scene,
     TrainStep,
     Conservation,
+    Values,
 }
 
 impl Schema {
@@ -31,6 +32,7 @@ impl Schema {
             Self::Scene => "whirls.Scene",
             Self::TrainStep => "whirls.TrainStep",
             Self::Conservation => "whirls.Conservation",
+            Self::Values => "whirls.Values",
         }
     }
 
@@ -40,7 +42,9 @@ impl Schema {
             Self::PointCloud | Self::FrameTransforms | Self::Log => {
                 vec![timestamp_file(), foxglove_file(self)]
             }
-            Self::Scene | Self::TrainStep | Self::Conservation => vec![whirls_file(self)],
+            Self::Scene | Self::TrainStep | Self::Conservation | Self::Values => {
+                vec![whirls_file(self)]
+            }
         };
         FileDescriptorSet { file }.encode_to_vec()
     }
@@ -139,6 +143,7 @@ fn whirls_file(schema: Schema) -> FileDescriptorProto {
     let (path, message) = match schema {
         Schema::TrainStep => ("whirls/TrainStep.proto", train_step()),
         Schema::Conservation => ("whirls/Conservation.proto", conservation()),
+        Schema::Values => ("whirls/Values.proto", named_values()),
         _ => ("whirls/Scene.proto", message("Scene", vec![one("toml", 1, Type::String)])),
     };
     file(path, "whirls", vec![message])
@@ -178,6 +183,16 @@ fn conservation() -> DescriptorProto {
         one("courant", 11, Type::Double),
     ];
     message("Conservation", fields)
+}
+
+fn named_values() -> DescriptorProto {
+    let fields = vec![
+        one("step", 1, Type::Uint64),
+        one("time", 2, Type::Double),
+        many("names", 3, Type::String),
+        many("values", 4, Type::Double),
+    ];
+    message("Values", fields)
 }
 
 fn vector3() -> DescriptorProto {
@@ -303,6 +318,9 @@ mod tests {
             ..Default::default()
         };
         assert_described(Schema::Conservation, &kept.encode_to_vec(), &[]);
+        let (names, values) = (vec!["n".into()], vec![1.0]);
+        let values = messages::Values { step: 1, time: 0.0, names, values };
+        assert_described(Schema::Values, &values.encode_to_vec(), &[]);
         let scene = messages::Scene { toml: "x".into() };
         assert_described(Schema::Scene, &scene.encode_to_vec(), &[]);
         let log = messages::Log {

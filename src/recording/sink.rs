@@ -61,13 +61,7 @@ impl Sink {
         let mut sink = Self { path, writer, channels, open_bytes: 0, messages: 0 };
         sink.attempt(|writer| {
             writer.write_metadata(&Metadata { name: RUN.into(), metadata: record })?;
-            writer.attach(&Attachment {
-                log_time: 0,
-                create_time: 0,
-                name: "scene.toml".into(),
-                media_type: "text/plain".into(),
-                data: Cow::Borrowed(scene_toml.as_bytes()),
-            })?;
+            writer.attach(&attachment("scene.toml", "text/plain", scene_toml.as_bytes()))?;
             writer.flush()
         })?;
         Ok(sink)
@@ -139,6 +133,12 @@ impl Sink {
         if entry.alone || self.open_bytes > CHUNK_BYTES { self.flush() } else { Ok(()) }
     }
 
+    /// Attaches a file, dated at time zero like everything else.
+    pub(super) fn attach(&mut self, name: &str, media_type: &str, data: &[u8]) -> Result<()> {
+        self.flush()?;
+        self.attempt(|writer| writer.attach(&attachment(name, media_type, data)))
+    }
+
     /// How many messages the topic has.
     pub(super) fn count(&self, topic: &str) -> u64 {
         self.channels.get(topic).map_or(0, |channel| channel.messages.into())
@@ -165,6 +165,16 @@ impl Sink {
         action: impl FnOnce(&mut Writer<BufWriter<File>>) -> McapResult<T>,
     ) -> Result<T> {
         action(&mut self.writer).map_err(|error| written(&self.path, error))
+    }
+}
+
+fn attachment<'a>(name: &str, media_type: &str, data: &'a [u8]) -> Attachment<'a> {
+    Attachment {
+        log_time: 0,
+        create_time: 0,
+        name: name.into(),
+        media_type: media_type.into(),
+        data: Cow::Borrowed(data),
     }
 }
 

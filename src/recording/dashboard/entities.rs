@@ -7,7 +7,7 @@ use rerun::{
 
 use super::layout::{Content, PALETTE, shown_parameters};
 use crate::recording::messages::log10;
-use crate::recording::{Cloud, Conservation, Flow, Level, Recording, RunInfo, TrainStep, colour};
+use crate::recording::{Cloud, Conservation, Level, Recording, RunInfo, TrainStep, Values, colour};
 use crate::{Error, Result};
 
 /// Radius of a particle over the mean distance of particles.
@@ -29,6 +29,9 @@ pub(super) fn send(
         stream.set_duration_secs("time", line.time.max(0.0));
         let level = level_name(line.level);
         stream.log("log", &TextLog::new(line.text).with_level(level)).map_err(failed)?;
+    }
+    for topic in &content.values {
+        named_values(&recording.values(topic)?, topic, stream).map_err(failed)?;
     }
     stream.reset_time();
     for topic in &content.clouds {
@@ -55,7 +58,7 @@ fn particles(
     stream.set_time_sequence("step", i64::try_from(cloud.step).unwrap_or(i64::MAX));
     let count = cloud.positions.len().max(1) as f64;
     let radius = RADIUS * run.box_length * count.powf(-1.0 / run.dimension as f64);
-    let colours = shades(topic, cloud, run).map(|fraction| {
+    let colours = shades(cloud, run).map(|fraction| {
         let [r, g, b, a] = colour(fraction);
         rerun::Color::from_unmultiplied_rgba(r, g, b, a)
     });
@@ -77,10 +80,10 @@ fn upward(row: [f64; 3], run: &RunInfo) -> [f32; 2] {
 
 /// Fractions of the colour scale: the speed of a flow; of another cloud the first column over its
 /// largest magnitude, with zero in the middle of the scale.
-fn shades<'a>(topic: &str, cloud: &'a Cloud, run: &RunInfo) -> Box<dyn Iterator<Item = f64> + 'a> {
+fn shades<'a>(cloud: &'a Cloud, run: &RunInfo) -> Box<dyn Iterator<Item = f64> + 'a> {
     let scale = run.speed_scale;
     let columns = cloud.columns.as_slice();
-    if Flow::ALL.iter().any(|flow| flow.topic() == topic) && columns.len() > 2 {
+    if columns.len() > 2 && columns[0].name == "vx" {
         let speed = move |k: usize| {
             columns.iter().take(3).map(|axis| axis.values[k].powi(2)).sum::<f64>().sqrt()
         };
@@ -113,17 +116,17 @@ fn outline(stream: &RecordingStream, topic: &str, run: &RunInfo) -> RecordingStr
 
 /// A curve or a bundle of curves: one row of numbers per point in time.
 struct Curves {
-    path: &'static str,
+    path: String,
     names: Vec<String>,
     colours: Vec<[u8; 3]>,
     width: f32,
 }
 
 impl Curves {
-    fn new(path: &'static str, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
+    fn new(path: &str, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         let names: Vec<String> = names.into_iter().map(Into::into).collect();
         let colours = PALETTE.iter().copied().cycle().take(names.len()).collect();
-        Self { path, names, colours, width: 1.8 }
+        Self { path: path.to_owned(), names, colours, width: 1.8 }
     }
 
     /// The same hues, darker and thinner: what is aimed at, behind what is there.
@@ -138,12 +141,12 @@ impl Curves {
             .with_names(self.names.iter().map(String::as_str))
             .with_colors(colours)
             .with_widths(std::iter::repeat_n(self.width, self.names.len()));
-        stream.log_static(self.path, &style as &dyn AsComponents)
+        stream.log_static(self.path.as_str(), &style as &dyn AsComponents)
     }
 
     fn add(&self, stream: &RecordingStream, values: &[f64]) -> RecordingStreamResult<()> {
         let values = values.iter().take(self.names.len()).copied();
-        stream.log(self.path, &Scalars::new(values))
+        stream.log(self.path.as_str(), &Scalars::new(values))
     }
 }
 
@@ -162,6 +165,25 @@ fn curves(
         conservation(&kept, stream).map_err(failed)?;
     }
     stream.reset_time();
+    Ok(())
+}
+
+/// Logarithms of named numbers, by time.
+fn named_values(
+    all: &[Values],
+    topic: &str,
+    stream: &RecordingStream,
+) -> RecordingStreamResult<()> {
+    let Some(first) = all.first() else { return Ok(()) };
+    let curves = Curves::new(topic, first.names.clone());
+    curves.begin(stream)?;
+    for now in all {
+        stream.reset_time();
+        stream.set_duration_secs("time", now.time.max(0.0));
+        stream.set_time_sequence("step", i64::try_from(now.step).unwrap_or(i64::MAX));
+        let logarithms = now.values.iter().map(|value| log10(*value, TrainStep::LOG10_FLOOR));
+        curves.add(stream, &logarithms.collect::<Vec<_>>())?;
+    }
     Ok(())
 }
 

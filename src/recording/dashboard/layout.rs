@@ -25,6 +25,9 @@ pub(super) const PALETTE: [[u8; 3]; 8] = [
 /// No more parameters than this are plotted.
 const MOST_CURVES: usize = 12;
 
+/// No more flows than this stand in one row.
+const MOST_FLOWS: usize = 4;
+
 /// How many seconds it takes to play the flow once.
 const PLAY_SECONDS: f64 = 10.0;
 
@@ -34,6 +37,8 @@ pub(super) struct Content {
     edge: f32,
     /// Topics with particles, the truth first, then what was learned.
     pub(super) clouds: Vec<String>,
+    /// Topics with named numbers.
+    pub(super) values: Vec<String>,
     /// Simulation times of the first and the last frame.
     span: (f64, f64),
     iterations: bool,
@@ -57,6 +62,7 @@ impl Content {
             edge: recording.run().box_length as f32,
             span: (start, times.into_iter().fold(0.0, f64::max)),
             clouds,
+            values: recording.value_topics(),
             iterations: !steps.is_empty(),
             errors: steps.iter().any(|step| !step.log10_error.is_empty()),
             conservation: counts.contains_key("/diag/conservation"),
@@ -75,7 +81,15 @@ pub(super) fn shown_parameters(steps: &[TrainStep], run: &RunInfo) -> Vec<String
 /// Sends the layout to the viewer or the file.
 pub(super) fn send(content: &Content, stream: &RecordingStream) -> RecordingStreamResult<()> {
     let (mut rows, mut shares, mut settings) = (Vec::new(), Vec::new(), Vec::new());
-    for (share, row) in [(5.0, flows(content)), (3.0, learning(content)), (2.2, keeping(content))] {
+    let mut all: Vec<(f32, Vec<Panel>)> = Vec::new();
+    let mut flows = flows(content);
+    while flows.len() > MOST_FLOWS {
+        let rest = flows.split_off(flows.len().div_ceil(2));
+        all.push((5.0, std::mem::replace(&mut flows, rest)));
+    }
+    all.push((5.0, flows));
+    all.extend([(3.0, learning(content)), (3.0, numbers(content)), (2.2, keeping(content))]);
+    for (share, row) in all {
         if row.is_empty() {
             continue;
         }
@@ -117,7 +131,7 @@ fn flows(content: &Content) -> Vec<Panel> {
         let name = match topic.as_str() {
             "/truth/particles" => "truth, coloured by speed",
             "/learned/particles" => "learned, coloured by speed",
-            other => other,
+            other => other.trim_start_matches('/').trim_end_matches("/particles"),
         };
         let contents = [topic.as_str(), &format!("{origin}/box")];
         match content.dimension {
@@ -126,6 +140,16 @@ fn flows(content: &Content) -> Vec<Panel> {
         }
     };
     content.clouds.iter().map(view).collect()
+}
+
+fn numbers(content: &Content) -> Vec<Panel> {
+    let panel = |(k, topic): (usize, &String)| {
+        let name = format!("log10 of {}, by time", topic.trim_start_matches('/'));
+        // The colours are the same in all of them.
+        let legend = (k == 0).then_some(Corner2D::RightBottom);
+        Panel::plot(&name, &[topic.as_str()], legend)
+    };
+    content.values.iter().enumerate().map(panel).collect()
 }
 
 fn learning(content: &Content) -> Vec<Panel> {
