@@ -2,6 +2,7 @@
 
 pub mod cells;
 pub mod error;
+pub mod evaluation;
 pub mod flow;
 pub mod forcing;
 pub mod kernel;
@@ -13,6 +14,7 @@ pub mod optimisers;
 pub mod packed;
 pub mod pairs;
 pub mod recording;
+pub mod report;
 pub mod run;
 pub mod scalar;
 pub mod scene;

@@ -23,17 +23,32 @@ pub struct Truth<const D: usize> {
 
 impl<const D: usize> Truth<D> {
     /// Runs the scene's own law for `after` steps, then keeps `frames + 1` states.
+    ///
+    /// # Errors
+    /// [`crate::Error::Diverged`] from the flow.
     pub fn generate(scene: &Scene, (after, frames): (u64, usize)) -> Result<Self> {
         let mut flow = Flow::<D>::new(scene)?;
         flow.start()?;
         for _ in 0..after {
             flow.step()?;
         }
-        let mut truth = Self::default();
         // The force that kick-drift-kick carries is no data: the observed flow starts without it.
         let from = flow.state();
         flow.reset(&from);
+        Self::kept(flow, frames)
+    }
+
+    /// Runs the scene's own law from a state, and keeps `frames + 1` states.
+    ///
+    /// # Errors
+    /// [`crate::Error::Diverged`] from the flow.
+    pub fn from_state(scene: &Scene, state: &State<D>, frames: usize) -> Result<Self> {
+        Self::kept(Flow::from_state(scene, state)?, frames)
+    }
+
+    fn kept(mut flow: Flow<D>, frames: usize) -> Result<Self> {
         flow.start()?;
+        let mut truth = Self::default();
         truth.keep(&mut flow);
         for _ in 0..frames {
             flow.step()?;

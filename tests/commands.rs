@@ -336,7 +336,7 @@ fn a_folder_that_is_not_there_is_a_failure_of_the_run() {
 fn help_names_every_option() {
     let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
     let place = Place::new();
-    let commands: [(&str, &[&str]); 4] = [
+    let commands: [(&str, &[&str]); 6] = [
         (
             "train",
             &[
@@ -364,6 +364,25 @@ fn help_names_every_option() {
             ],
         ),
         ("replay", &["--save", "--spawn", "--connect", "--recover", "--out", "--info", "--json"]),
+        (
+            "evaluate",
+            &[
+                "--truth",
+                "--set",
+                "--steps",
+                "--every",
+                "--realisations",
+                "--theta",
+                "--speed",
+                "--quick",
+                "--out",
+                "--no-record",
+                "--seed",
+                "--threads",
+                "--json",
+            ],
+        ),
+        ("reproduce", &["--quick", "--out", "--seed", "--threads", "--json"]),
     ];
     for (command, own) in commands {
         let done = place.run(command, &["--help"]);
@@ -378,7 +397,7 @@ fn help_names_every_option() {
 #[test]
 fn version_begins_with_the_name_of_the_command() {
     let place = Place::new();
-    for command in ["train", "simulate", "import", "replay"] {
+    for command in ["train", "simulate", "import", "replay", "evaluate", "reproduce"] {
         let version = place.run(command, &["--version"]).out;
         assert_eq!(version.trim_end(), format!("{command} {}", env!("CARGO_PKG_VERSION")));
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use whirls::recording::{
     Cloud, Column, Conservation, Flow, Frame, Level, Recorder, Recording, RunInfo, TrainStep,
-    recover,
+    Values, recover,
 };
 use whirls::{Error, Result};
 
@@ -373,6 +373,41 @@ fn a_cloud_of_any_columns_comes_back_on_its_topic() {
     assert_eq!(recording.cloud(topic, 1).unwrap().step, 5);
     assert_eq!(recording.cloud_times(topic), [0.5, 0.5]);
     assert_eq!(recording.counts()[topic], 2);
+}
+
+#[test]
+fn several_flows_named_numbers_and_attachments_come_back() {
+    let folder = folder();
+    let path = folder.path().join("several.mcap");
+    let row = |step: u64| Values {
+        step,
+        time: 0.25 * step as f64,
+        names: vec!["node".into(), "physics".into()],
+        values: vec![1.0 / 3.0, -0.0],
+    };
+    let mut recorder = Recorder::create(&path, &run(3)).unwrap();
+    for (name, k) in [("node", 1), ("physics", 2), ("node", 3)] {
+        recorder.frame_of(name, frame(k, 6)).unwrap();
+        recorder.values("/errors/field", row(k)).unwrap();
+    }
+    recorder.attach("report.json", "application/json", b"{}".to_vec()).unwrap();
+    assert_refused(recorder.frame_of("truth", frame(0, 6)), &["/truth/particles"]);
+    assert_refused(recorder.values("/log", row(0)), &["/log"]);
+    let nameless = Values { names: vec![], ..row(0) };
+    assert_refused(recorder.values("/mine", nameless), &["0 values", "2"]);
+    recorder.finish().unwrap();
+
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.cloud_topics(), ["/node/particles", "/physics/particles"]);
+    assert_eq!(recording.value_topics(), ["/errors/field"]);
+    let numbers = recording.values("/errors/field").unwrap();
+    assert_eq!(numbers, [row(1), row(2), row(3)]);
+    assert_eq!(bits(&numbers[0].values), bits(&row(1).values));
+    assert_eq!(recording.cloud("/node/particles", 1).unwrap().step, 3);
+    let bytes = std::fs::read(&path).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let attached = summary.attachment_indexes.iter().find(|a| a.name == "report.json").unwrap();
+    assert_eq!(&*mcap::read::attachment(&bytes, attached).unwrap().data, b"{}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod common;
 
 use whirls::forcing::Power;
 use whirls::models::Parameter;
-use whirls::scene::{Forcing, Increments, KernelName, Optimiser, SHIPPED, Shipped, Times};
+use whirls::scene::{Forcing, Increments, KernelName, Optimiser, SHIPPED, Shipped, SpinUp, Times};
 use whirls::systems::verlet::Step;
 use whirls::{Error, Scene};
 
@@ -264,6 +264,26 @@ fn overrides_reach_every_level_and_make_tables_that_are_missing() {
 
 fn scene_text(scene: &Scene) -> String {
     scene.to_toml()
+}
+
+#[test]
+fn a_spin_up_runs_before_the_first_step_with_its_own_forcing() {
+    let stirred = "forcing={kind='stochastic',interval=0.1}";
+    let mut scene = Scene::parse(GOOD, "small.toml", &["initial.velocity=0.0".to_owned()]).unwrap();
+    let stirring = Scene::parse(GOOD, "small.toml", &[stirred.to_owned()]).unwrap().forcing;
+    scene.spin_up = Some(SpinUp { steps: 7, forcing: stirring.clone() });
+    assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+
+    let alone = Scene { forcing: stirring, spin_up: None, ..scene.clone() };
+    let mut before = whirls::Flow::<3>::new(&alone).unwrap();
+    (0..7).try_for_each(|_| before.step()).unwrap();
+    let mut flow = whirls::Flow::<3>::new(&scene).unwrap();
+    flow.start().unwrap();
+    assert_eq!(flow.state(), before.state());
+    assert!(flow.state().velocities.iter().any(|v| v.norm() > 1e-4), "it was stirred from rest");
+    assert_eq!(flow.steps(), 0);
+    let message = refusal(GOOD, &["spin_up={steps=3,forcing={kind='stochastic',interval=0.0}}"]);
+    assert_says(&message, &["forcing.interval", "positive"]);
 }
 
 #[test]

@@ -59,7 +59,10 @@ pub struct Outcome {
 }
 
 /// What a scene learns: its physical parameters, then all weights of its model's network.
-fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
+///
+/// # Errors
+/// [`Error::Input`] for options that make no network.
+pub fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
     let model = learn.model.build(Medium::<D>::of(scene, scene.particles()))?;
     let weights = model.network().map_or(0, |network| network.weights.len() as u32);
     let weights = (0..weights).map(Parameter::Weight);

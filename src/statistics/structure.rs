@@ -16,6 +16,27 @@ pub struct Structure {
     pub transverse: f64,
 }
 
+impl Structure {
+    /// Every moment times a factor.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let Self { distance, second, third, transverse } = *self;
+        Self {
+            distance,
+            second: factor * second,
+            third: factor * third,
+            transverse: factor * transverse,
+        }
+    }
+
+    /// Adds the moments of another at the same distance.
+    pub fn add(&mut self, other: &Self) {
+        self.second += other.second;
+        self.third += other.third;
+        self.transverse += other.transverse;
+    }
+}
+
 /// Structure functions at one node's distance, two, … up to half the box, over all nodes and axes.
 pub fn structure_functions<const D: usize>(
     mesh: &Mesh<D>,
@@ -75,6 +96,26 @@ mod tests {
             // A sum of five thousand terms of order one.
             assert!((s.second - (1.0 - s.distance.cos()) / 3.0).abs() < 1e-13, "{s:?}");
             assert!(s.third.abs() < 1e-14 && s.transverse.abs() < 1e-14);
+        }
+    }
+
+    /// A solid rotation `v = Ω × r` about the box's middle changes no distance, so `S₂` is zero, and
+    /// across a separation `r` in its plane the difference is `Ωr`; a share `r/L` of the pairs along each
+    /// axis reaches over the edge of the box, where it is `Ω(r − L)`.
+    #[test]
+    fn a_solid_rotation_has_the_structure_functions_of_its_formula() {
+        let (length, omega) = (2.0, 1.5);
+        let mesh = Mesh::<2> { per_axis: 16, length };
+        let turn = |node| {
+            let r = mesh.node(node);
+            Vector([-omega * (r[1] - 1.0), omega * (r[0] - 1.0)])
+        };
+        let field: Vec<Vector<f64, 2>> = (0..mesh.len()).map(turn).collect();
+        for s in structure_functions(&mesh, &field) {
+            let (r, over) = (s.distance, s.distance / length);
+            let expected = omega * omega * ((1.0 - over) * r * r + over * (length - r).powi(2));
+            assert!(s.second.abs() < 1e-28 && s.third.abs() < 1e-28, "{s:?}");
+            assert!((s.transverse - expected).abs() < 1e-13, "{s:?} against {expected}");
         }
     }
 }

@@ -1,0 +1,188 @@
+//! `evaluate`: whether learned models know the flow.
+
+mod common;
+#[path = "common/flow.rs"]
+mod flow;
+
+use clap::Parser;
+use common::{conclude, say, say_json};
+use flow::{in_dimension, progress};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use whirls::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
+use whirls::recording::Recording;
+use whirls::run::{EvaluationFiles, truth_from_recording, write_evaluation};
+use whirls::{Error, Result, Scene};
+
+/// Measures how well learned models know the flow: errors by horizon, by strength of the stirring and by
+/// Mach number, statistics, symmetries, equations of state; writes JSON, an HTML report and a recording.
+#[derive(Parser)]
+#[command(name = "evaluate", version)]
+struct Arguments {
+    /// Recordings that `train` wrote, one per model.
+    #[arg(required = true, value_name = "LEARNED.mcap")]
+    learned: Vec<PathBuf>,
+    /// The truth: a scene, a .toml file, or recorded particles (.mcap) [default: the first model's scene].
+    #[arg(long, value_name = "SCENE|FILE")]
+    truth: Option<String>,
+    /// Override a key of the truth's scene, as in --set forcing.theta=1 (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Steps to follow the flows [default: 200, with --quick 60].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    steps: Option<u64>,
+    /// Every how many steps a flow is looked at closely, and recorded.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
+    /// Independent flows, of seeds counted up from the scene's [default: 3, with --quick 2].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1000))]
+    realisations: Option<u64>,
+    /// Strengths of the stirring, as in --theta 0.25,1 [default: 0.1,0.2,0.4,0.8,1.6].
+    #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
+    theta: Option<Vec<f64>>,
+    /// Factors on the velocities of the start, which scale its Mach number [default: 0.25,0.5,1,2,3].
+    #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
+    speed: Option<Vec<f64>>,
+    /// A short look: 60 steps, two realisations, two strengths, two Mach numbers.
+    #[arg(long)]
+    quick: bool,
+    /// Folder for evaluation.json, evaluation.html, evaluation.mcap and one SVG per figure.
+    #[arg(long, value_name = "FOLDER", default_value = "recordings/evaluation")]
+    out: PathBuf,
+    /// Do not record the flows.
+    #[arg(long)]
+    no_record: bool,
+    /// Seed of the first realisation [default: the scene's].
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Threads [default: all cores]; the results are the same bits for any number.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Print one JSON object as the last line of standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let threads = usize::from(arguments.threads.unwrap_or(0));
+    // A second pool in one process would be a mistake of ours, and harmless.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    conclude(truth_of(&arguments).and_then(|(scene, recorded)| {
+        in_dimension!(scene, run(&arguments, &scene, recorded.as_deref()))
+    }))
+}
+
+/// The scene of the truth, and where its particles are recorded, if they are.
+fn truth_of(arguments: &Arguments) -> Result<(Scene, Option<PathBuf>)> {
+    let first = || {
+        let path = &arguments.learned[0];
+        let recording = Recording::open(path)?;
+        let place = path.display().to_string();
+        Scene::parse(&recording.run().scene_toml, &place, &arguments.overrides)
+    };
+    let (mut scene, recorded) = match &arguments.truth {
+        None => (first()?, None),
+        Some(name) if Path::new(name).extension().is_some_and(|e| e == "mcap") => {
+            (first()?, Some(PathBuf::from(name)))
+        }
+        Some(name) => (Scene::open(name, &arguments.overrides)?, None),
+    };
+    scene.seed = arguments.seed.unwrap_or(scene.seed);
+    Ok((scene, recorded))
+}
+
+fn plan(arguments: &Arguments, trained: usize) -> Plan {
+    let mut plan = if arguments.quick { Plan::quick(trained) } else { Plan::new(trained) };
+    plan.marks.steps = arguments.steps.unwrap_or(plan.marks.steps);
+    plan.marks.every = arguments.every;
+    plan.realisations = arguments.realisations.unwrap_or(plan.realisations);
+    plan.strengths = arguments.theta.clone().unwrap_or(plan.strengths);
+    plan.speeds = arguments.speed.clone().unwrap_or(plan.speeds);
+    plan
+}
+
+fn run<const D: usize>(
+    arguments: &Arguments,
+    scene: &Scene,
+    recorded: Option<&Path>,
+) -> Result<()> {
+    let mut candidates = Vec::new();
+    for path in &arguments.learned {
+        candidates.push(Candidate::open::<D>(path)?);
+    }
+    Candidate::name_apart(&mut candidates, &arguments.learned);
+    let trained = candidates[0].learn()?.frames;
+    let plan = plan(arguments, trained);
+    let source = match recorded {
+        None => Source::Scene,
+        Some(path) => Source::Recorded(pieces::<D>(path, scene, &plan)?),
+    };
+    let bar = progress(plan.work(candidates.len()), "evaluate");
+    let evaluation = evaluate::<D>((scene, source), candidates, plan, &mut || bar.inc(1));
+    bar.finish_and_clear();
+    let evaluation = evaluation?;
+    let facts = facts(arguments, scene);
+    let record = !arguments.no_record;
+    let files = write_evaluation(&evaluation, facts, (&arguments.out, record))?;
+    describe(&evaluation, &files);
+    if arguments.json { say_json(&summary(&evaluation, &files)) } else { Ok(()) }
+}
+
+/// Consecutive pieces of a recorded flow.
+fn pieces<const D: usize>(
+    path: &Path,
+    scene: &Scene,
+    plan: &Plan,
+) -> Result<Vec<whirls::truth::Truth<D>>> {
+    let recording = Recording::open(path)?;
+    let frames = recording.frame_count(whirls::recording::Flow::Truth);
+    let steps = plan.marks.steps as usize;
+    let count = (frames.saturating_sub(1) / steps).min(plan.realisations as usize);
+    if count < 2 {
+        return Err(Error::input(
+            path.display(),
+            format!("{} frames of /truth/particles: two pieces of {steps} steps", 2 * steps + 1),
+            format!("{frames} frames"),
+            "ask for fewer --steps, or record a longer flow",
+        ));
+    }
+    (0..count).map(|k| truth_from_recording(&recording, scene, (k * steps, steps))).collect()
+}
+
+/// How to repeat it.
+fn facts(arguments: &Arguments, scene: &Scene) -> Vec<(String, String)> {
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let truth = arguments.truth.clone().unwrap_or_else(|| scene.name.clone());
+    vec![
+        ("command".to_owned(), format!("evaluate {}", command.join(" "))),
+        ("truth".to_owned(), truth),
+        ("seed".to_owned(), scene.seed.to_string()),
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+    ]
+}
+
+fn describe<const D: usize>(evaluation: &Evaluation<D>, files: &EvaluationFiles) {
+    files.report.tables.iter().for_each(|table| say(table.plain_text()));
+    let _ = evaluation;
+    say(format!("report in {}", files.html.display()));
+    if let Some(recording) = &files.recording {
+        say(format!("recorded in {}", recording.display()));
+    }
+}
+
+/// The object of `--json`.
+fn summary<const D: usize>(evaluation: &Evaluation<D>, files: &EvaluationFiles) -> Value {
+    let names = evaluation.candidates.iter().enumerate();
+    let models = names.map(|(k, candidate)| (candidate.name.clone(), json!(evaluation.summary(k))));
+    json!({
+        "scene": evaluation.scene.name,
+        "realisations": evaluation.trials.len(),
+        "steps": evaluation.plan.marks.steps,
+        "models": Value::Object(models.collect()),
+        "report": files.json,
+        "html": files.html,
+        "recording": files.recording,
+    })
+}

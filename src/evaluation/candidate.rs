@@ -1,0 +1,131 @@
+//! Who is evaluated: a learned model, as its recording left it.
+
+use crate::error::{Error, Result};
+use crate::flow::{Flow, State};
+use crate::learn::columns;
+use crate::models::Parameter;
+use crate::recording::{Recording, TrainStep};
+use crate::scene::{Forcing, Learn, Scene};
+use crate::systems::loss::Observations;
+use std::path::Path;
+
+/// A learned model.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// How it is called: its `kind`, or its recording's where two candidates are of one kind.
+    pub name: String,
+    /// The scene that it was learned in: its model and everything that it was not to learn.
+    pub scene: Scene,
+    /// What was learned: parameters, then weights.
+    pub parameters: Vec<Parameter>,
+    /// Their values at the end of the search.
+    pub values: Vec<f64>,
+    /// The last iteration: loss, parts of it, gradient.
+    pub last: TrainStep,
+    /// How long the search took, where somebody noted it; no recording does.
+    pub seconds: Option<f64>,
+}
+
+impl Candidate {
+    /// From what `train` recorded.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where the recording has no iteration, or is not of its own scene's model.
+    pub fn open<const D: usize>(path: &Path) -> Result<Self> {
+        let recording = Recording::open(path)?;
+        let place = path.display().to_string();
+        let scene = Scene::parse(&recording.run().scene_toml, &place, &[])?;
+        let Some(last) = recording.train_steps()?.pop() else {
+            let remedy = "give a file that `train` recorded";
+            return Err(Error::input(place, "a search that was recorded", "no iteration", remedy));
+        };
+        let learn = scene.learning()?;
+        let parameters = columns::<D>(&scene, learn)?;
+        if parameters.len() != last.parameters.len() {
+            return Err(Error::input(
+                place,
+                format!("{} parameters of {}", parameters.len(), learn.model.kind()),
+                last.parameters.len(),
+                "train it again with this version",
+            ));
+        }
+        let (name, values) = (learn.model.kind().to_owned(), last.parameters.clone());
+        Ok(Self { name, scene, parameters, values, last, seconds: None })
+    }
+
+    /// Gives candidates of one kind the names of their files.
+    pub fn name_apart(candidates: &mut [Self], paths: &[impl AsRef<Path>]) {
+        let kinds: Vec<String> = candidates.iter().map(|c| c.name.clone()).collect();
+        for (candidate, path) in candidates.iter_mut().zip(paths) {
+            let alike = kinds.iter().filter(|kind| **kind == candidate.name).count();
+            let stem = path.as_ref().file_stem();
+            if let (true, Some(stem)) = (alike > 1, stem) {
+                candidate.name = stem.to_string_lossy().into_owned();
+            }
+        }
+    }
+
+    /// What it was trained by.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a scene that learns nothing.
+    pub fn learn(&self) -> Result<&Learn> {
+        self.scene.learning()
+    }
+
+    /// Refuses to be compared with a truth whose particles, kernel or steps are of another kind.
+    ///
+    /// # Errors
+    /// [`Error::Input`], with what differs.
+    pub fn must_fit(&self, truth: &Scene) -> Result<()> {
+        let kind = |scene: &Scene| {
+            let (fluid, step) = (&scene.fluid, scene.time.step);
+            let (edge, h, kernel) = (fluid.box_length, fluid.smoothing_length, fluid.kernel);
+            let dt = scene.dt();
+            format!(
+                "{} dimensions, box {edge}, h {h}, kernel {kernel:?}, dt {dt}, step {step:?}",
+                scene.dimension
+            )
+        };
+        let (expected, found) = (kind(truth), kind(&self.scene));
+        if expected == found {
+            return Ok(());
+        }
+        let remedy = "evaluate it against a truth of the kind that it was learned from";
+        Err(Error::input(format!("learned model {}", self.name), expected, found, remedy))
+    }
+
+    /// The flow that it makes from a state, stirred as `truth` is: how strong the stirring is, is a
+    /// circumstance and no part of what was learned, except where it was.
+    ///
+    /// # Errors
+    /// As [`Flow::build`].
+    pub fn flow<const D: usize>(
+        &self,
+        truth: &Scene,
+        state: &State<D>,
+        observations: Option<Observations<D>>,
+    ) -> Result<Flow<D>> {
+        let scene = Scene { forcing: truth.forcing.clone(), ..self.scene.clone() };
+        let mut flow = Flow::build(&scene, state, None, observations)?;
+        let stirred_alike = self.scene.forcing == truth.forcing;
+        let (mut parameters, mut values) = (Vec::new(), Vec::new());
+        for (&parameter, &value) in self.parameters.iter().zip(&self.values) {
+            if parameter != Parameter::Theta || stirred_alike {
+                parameters.push(parameter);
+                values.push(value);
+            }
+        }
+        flow.set_learned(&parameters, &values);
+        Ok(flow)
+    }
+
+    /// The flow of its law alone, without any stirring.
+    ///
+    /// # Errors
+    /// As [`Flow::build`].
+    pub fn unstirred<const D: usize>(&self, state: &State<D>) -> Result<Flow<D>> {
+        let still = Scene { forcing: Forcing::None, ..self.scene.clone() };
+        self.flow(&still, state, None)
+    }
+}

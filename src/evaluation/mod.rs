@@ -1,0 +1,425 @@
+//! Does a learned model know the flow? Its errors by horizon, by strength of the stirring and by Mach
+//! number, its statistics and its symmetries, each beside what a perfect model would score.
+//!
+//! A model is let go from true states that it was not trained on and followed to a full eddy time,
+//! twenty times as long as it was trained. Everything is repeated for several *realisations* (seeds of
+//! the flow; the first is that of the training), and reported as median and range. What two independent
+//! realisations of the truth differ by is the *floor*: no model that knows the statistics, but not these
+//! very particles, can come closer than that.
+//!
+//! [`evaluate`] measures, [`Evaluation::report`] puts it into tables and figures.
+
+mod candidate;
+mod course;
+mod figures;
+mod signature;
+mod spread;
+mod symmetry;
+mod tables;
+
+pub use candidate::Candidate;
+pub use course::{Course, Errors, Marks, observations};
+pub use signature::{Distance, Signature};
+pub use spread::Spread;
+pub use symmetry::Symmetry;
+pub use tables::Summary;
+
+use crate::error::{Error, Result};
+use crate::losses::sampling_floor;
+use crate::models::{ModelChoice, Parameters};
+use crate::scene::{Forcing, Learn, Scene};
+use crate::state::tait;
+use crate::systems::loss::Observations;
+use crate::truth::Truth;
+use crate::vector::Vector;
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// How long flows are followed, and how often they are looked at closely.
+    pub marks: Marks,
+    /// Seeds of the flow, counted up from the scene's.
+    pub realisations: u64,
+    /// Forcing strengths `θ`.
+    pub strengths: Vec<f64>,
+    /// Factors on the velocities of a true state: they scale its Mach number.
+    pub speeds: Vec<f64>,
+    /// How long flows of other strengths and Mach numbers are followed, in steps: the training's
+    /// horizon, and a longer one.
+    pub horizons: [usize; 2],
+}
+
+impl Plan {
+    /// To one eddy time of the paper's flow: 200 steps, three realisations, `θ` from 0.1 to 1.6, a
+    /// quarter to three times the Mach number. `trained` is the horizon of the training.
+    pub fn new(trained: usize) -> Self {
+        Self {
+            marks: Marks { steps: 200, every: 5 },
+            realisations: 3,
+            strengths: vec![0.1, 0.2, 0.4, 0.8, 1.6],
+            speeds: vec![0.25, 0.5, 1.0, 2.0, 3.0],
+            horizons: [trained, 10 * trained],
+        }
+    }
+
+    /// Enough to see whether something is wrong: sixty steps, two realisations, two strengths.
+    pub fn quick(trained: usize) -> Self {
+        Self {
+            marks: Marks { steps: 60, every: 5 },
+            realisations: 2,
+            strengths: vec![0.25, 1.0],
+            speeds: vec![0.5, 2.0],
+            horizons: [trained, 3 * trained],
+        }
+    }
+
+    /// The fifteen horizons, from the training's to the last step, over which medians over time are
+    /// taken: as many as the paper's Fig. 5.
+    pub fn fifteen(&self) -> Vec<usize> {
+        let (first, last) = (self.horizons[0] as f64, self.marks.steps as f64);
+        let at = |k: i32| first + (last - first) * f64::from(k) / 14.0;
+        (0..15).map(|k| at(k).round() as usize).collect()
+    }
+
+    /// Steps of learned flows in all, for an estimate of the time left.
+    pub fn work(&self, candidates: usize) -> u64 {
+        let circumstances = (self.strengths.len() + self.speeds.len()) as u64;
+        let one = self.marks.steps + circumstances * self.horizons[1] as u64;
+        self.realisations * one * candidates as u64
+    }
+}
+
+/// Where the truth comes from.
+#[derive(Clone, Debug)]
+pub enum Source<const D: usize> {
+    /// The scene's own law, run on the spot: any seed, any circumstances.
+    Scene,
+    /// Particles that somebody recorded: as many realisations as there are pieces of the length that is
+    /// followed, and no other circumstances.
+    Recorded(Vec<Truth<D>>),
+}
+
+/// What one candidate did in one realisation.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// Errors by step.
+    pub errors: Errors,
+    /// Statistics.
+    pub signature: Signature,
+    /// The step at which it could no longer be trusted.
+    pub diverged: Option<u64>,
+    /// Symmetries of its law in the first state; not a number where that could not be found.
+    pub symmetry: Symmetry,
+}
+
+/// Mean errors over the two horizons of a [`Plan`] under other circumstances: realisation by
+/// realisation.
+#[derive(Clone, Debug)]
+pub struct Circumstance {
+    /// The strength, or the Mach number: root-mean-square speed over `c` at the start.
+    pub value: f64,
+    /// `⟨|V|²⟩/D` of the true field, which makes errors relative: by realisation.
+    pub power: Vec<f64>,
+    /// By realisation: the steps' errors of each candidate.
+    pub errors: Vec<Vec<Errors>>,
+}
+
+/// A learned pressure by density.
+#[derive(Clone, Debug)]
+pub struct Pressure {
+    /// Whose.
+    pub name: String,
+    /// At the densities of [`Evaluation::densities`].
+    pub values: Vec<f64>,
+}
+
+/// Everything that [`evaluate`] has measured.
+#[derive(Clone, Debug)]
+pub struct Evaluation<const D: usize> {
+    /// The scene of the truth.
+    pub scene: Scene,
+    /// What was to be measured.
+    pub plan: Plan,
+    /// Who was evaluated.
+    pub candidates: Vec<Candidate>,
+    /// By realisation, the truth's statistics.
+    pub truths: Vec<Signature>,
+    /// By realisation, each candidate's trial.
+    pub trials: Vec<Vec<Trial>>,
+    /// By step: the KL between independent realisations of the truth.
+    pub floor: Vec<f64>,
+    /// By step: the field error between them.
+    pub independent: Vec<f64>,
+    /// Distances between the statistics of any two of them.
+    pub distances: Vec<Distance>,
+    /// By strength of the stirring.
+    pub strengths: Vec<Circumstance>,
+    /// By Mach number.
+    pub machs: Vec<Circumstance>,
+    /// Densities of the equation of state, and Tait's pressure there where the truth obeys it.
+    pub densities: Vec<f64>,
+    /// The lowest and the highest density over the training's horizon.
+    pub seen: (f64, f64),
+    /// Learned equations of state.
+    pub pressures: Vec<Pressure>,
+    /// Tait's, where the truth is known to obey it.
+    pub tait: Option<Vec<f64>>,
+    /// The first realisation: the truth, then every candidate, to look at.
+    pub courses: Vec<(String, Course<D>)>,
+}
+
+/// Measures everything; `tick` is called behind every step of a learned flow.
+///
+/// # Errors
+/// [`Error::Input`] where a candidate does not fit the truth or there are fewer than two realisations,
+/// [`Error::Diverged`] from a truth. A candidate that diverges is a result, and no error.
+pub fn evaluate<const D: usize>(
+    (scene, source): (&Scene, Source<D>),
+    candidates: Vec<Candidate>,
+    plan: Plan,
+    tick: &mut dyn FnMut(),
+) -> Result<Evaluation<D>> {
+    candidates.iter().try_for_each(|candidate| candidate.must_fit(scene))?;
+    let mut evaluation = Evaluation {
+        scene: scene.clone(),
+        plan,
+        candidates,
+        truths: Vec::new(),
+        trials: Vec::new(),
+        floor: Vec::new(),
+        independent: Vec::new(),
+        distances: Vec::new(),
+        strengths: Vec::new(),
+        machs: Vec::new(),
+        densities: Vec::new(),
+        seen: (f64::NAN, f64::NAN),
+        pressures: Vec::new(),
+        tait: None,
+        courses: Vec::new(),
+    };
+    let known = matches!(source, Source::Scene);
+    let truths = evaluation.realisations(source)?;
+    let learn = evaluation.learn()?.clone();
+    let observed = truths.iter().map(|truth| observations(scene, (&learn, true), truth));
+    let observed = observed.collect::<Result<Vec<_>>>()?;
+    evaluation.follow((&truths, &observed), tick)?;
+    evaluation.floors((&truths, &observed))?;
+    evaluation.equation_of_state(&truths[0], known)?;
+    if known {
+        evaluation.other_strengths(tick)?;
+        evaluation.other_speeds(&truths, tick)?;
+    }
+    Ok(evaluation)
+}
+
+impl<const D: usize> Evaluation<D> {
+    /// What the first candidate was trained by: mesh and nodes are the same for all.
+    fn learn(&self) -> Result<&Learn> {
+        match self.candidates.first() {
+            Some(candidate) => candidate.learn(),
+            None => Err(Error::input(
+                "an evaluation",
+                "at least one learned model",
+                "none",
+                "give a file that `train` recorded",
+            )),
+        }
+    }
+
+    /// Steps of the truth before the first state: the scene's own transient.
+    fn after(&self) -> Result<u64> {
+        match &self.scene.learn {
+            Some(learn) => Ok(learn.after),
+            None => Ok(self.learn()?.after),
+        }
+    }
+
+    fn realisations(&self, source: Source<D>) -> Result<Vec<Truth<D>>> {
+        let truths = match source {
+            Source::Recorded(truths) => truths,
+            Source::Scene => {
+                let after = self.after()?;
+                let one = |more: u64| {
+                    let seed = self.scene.seed.wrapping_add(more);
+                    let scene = Scene { seed, ..self.scene.clone() };
+                    Truth::generate(&scene, (after, self.plan.marks.steps as usize))
+                };
+                (0..self.plan.realisations).map(one).collect::<Result<_>>()?
+            }
+        };
+        if truths.len() < 2 {
+            return Err(Error::input(
+                "the truth",
+                "at least two realisations, whose difference is the floor of every statistic",
+                truths.len(),
+                "ask for more realisations, or for fewer steps of a longer recording",
+            ));
+        }
+        Ok(truths)
+    }
+
+    fn follow(
+        &mut self,
+        (truths, observed): (&[Truth<D>], &[Observations<D>]),
+        tick: &mut dyn FnMut(),
+    ) -> Result<()> {
+        for (k, (truth, observed)) in truths.iter().zip(observed).enumerate() {
+            let course = Course::of_truth(&self.scene, truth, self.plan.marks)?;
+            self.truths.push(Signature::of(&self.scene, &course));
+            if k == 0 {
+                self.courses.push(("truth".to_owned(), course));
+            }
+            let mut trials = Vec::new();
+            for candidate in &self.candidates {
+                let who = (&self.scene, candidate);
+                let course = Course::of_candidate(who, truth, observed, self.plan.marks, tick)?;
+                trials.push(Trial {
+                    errors: course.errors.clone(),
+                    signature: Signature::of(&self.scene, &course),
+                    diverged: course.diverged,
+                    symmetry: Symmetry::of(candidate, &truth.states[0])
+                        .unwrap_or(Symmetry::UNKNOWN),
+                });
+                if k == 0 {
+                    self.courses.push((candidate.name.clone(), course));
+                }
+            }
+            self.trials.push(trials);
+        }
+        Ok(())
+    }
+
+    /// What independent truths differ by.
+    fn floors(&mut self, (truths, observed): (&[Truth<D>], &[Observations<D>])) -> Result<()> {
+        let nodes = self.learn()?.increments.nodes;
+        for step in 1..=self.plan.marks.steps as usize {
+            let increments: Vec<_> = truths.iter().map(|truth| truth.increments(step)).collect();
+            let mut floor = 0.0;
+            for axis in 0..D {
+                let one = |all: &Vec<Vector<f64, D>>| all.iter().map(|du| du[axis]).collect();
+                let components: Vec<Vec<f64>> = increments.iter().map(one).collect();
+                let components: Vec<&[f64]> = components.iter().map(Vec::as_slice).collect();
+                floor += sampling_floor(&components, nodes)?;
+            }
+            self.floor.push(floor);
+        }
+        for step in 0..self.plan.marks.steps as usize {
+            let fields: Vec<_> = observed.iter().map(|o| &o.frames[step].field).collect();
+            self.independent.push(mean_over_pairs(&fields, |a, b| square_distance(a, b)));
+        }
+        for (a, one) in self.truths.iter().enumerate() {
+            for (b, other) in self.truths.iter().enumerate() {
+                if a != b {
+                    self.distances.push(Distance::between(one, other));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Learned pressures, over the densities seen in training and as far again on both sides.
+    fn equation_of_state(&mut self, truth: &Truth<D>, known: bool) -> Result<()> {
+        let trained = self.plan.horizons[0].min(truth.states.len() - 1);
+        let seen =
+            Truth::<D> { densities: truth.densities[..=trained].to_vec(), ..Truth::default() };
+        let (low, high) = seen.densities_seen();
+        let wide = high - low;
+        self.seen = (low, high);
+        self.densities =
+            (0..=120).map(|k| low - wide + 3.0 * wide * f64::from(k) / 120.0).collect();
+        let of: Parameters<f64> = self.scene.parameters();
+        let [c, _, _, gamma, _] = of.0;
+        self.tait = known.then(|| self.densities.iter().map(|&rho| tait(rho, c, gamma)).collect());
+        for candidate in &self.candidates {
+            let flow = candidate.flow(&self.scene, &truth.states[0], None)?;
+            let physical = candidate.learn()?.model == ModelChoice::Physics;
+            if physical || flow.model().has_stress_network() {
+                let values = self.densities.iter().map(|&rho| flow.pressure(rho)).collect();
+                self.pressures.push(Pressure { name: candidate.name.clone(), values });
+            }
+        }
+        Ok(())
+    }
+
+    /// The scene's own flow at other strengths of its stirring, after its own transient.
+    fn other_strengths(&mut self, tick: &mut dyn FnMut()) -> Result<()> {
+        let Forcing::Deterministic { power, .. } = self.scene.forcing else { return Ok(()) };
+        let after = self.after()?;
+        for &theta in &self.plan.strengths {
+            let forcing = Forcing::Deterministic { theta, power };
+            let mut found = Circumstance { value: theta, power: Vec::new(), errors: Vec::new() };
+            for k in 0..self.plan.realisations {
+                let seed = self.scene.seed.wrapping_add(k);
+                let scene = Scene { seed, forcing: forcing.clone(), ..self.scene.clone() };
+                let truth = Truth::generate(&scene, (after, self.plan.horizons[1]))?;
+                self.meet(&mut found, (&scene, &truth), tick)?;
+            }
+            self.strengths.push(found);
+        }
+        Ok(())
+    }
+
+    /// True states with all velocities scaled.
+    fn other_speeds(&mut self, truths: &[Truth<D>], tick: &mut dyn FnMut()) -> Result<()> {
+        let scene = self.scene.clone();
+        for &factor in &self.plan.speeds {
+            let mut found = Circumstance { value: f64::NAN, power: Vec::new(), errors: Vec::new() };
+            let mut mach = 0.0;
+            for truth in truths {
+                let mut start = truth.states[0].clone();
+                start.velocities.iter_mut().for_each(|v| *v = *v * factor);
+                let squares: f64 = start.velocities.iter().map(|v| v.norm_squared()).sum();
+                let speed = (squares / start.velocities.len() as f64).sqrt();
+                mach += speed / scene.fluid.c / truths.len() as f64;
+                let truth = Truth::from_state(&scene, &start, self.plan.horizons[1])?;
+                self.meet(&mut found, (&scene, &truth), tick)?;
+            }
+            self.machs.push(Circumstance { value: mach, ..found });
+        }
+        Ok(())
+    }
+
+    /// Lets every candidate go from a truth of other circumstances.
+    fn meet(
+        &self,
+        found: &mut Circumstance,
+        (scene, truth): (&Scene, &Truth<D>),
+        tick: &mut dyn FnMut(),
+    ) -> Result<()> {
+        let steps = self.plan.horizons[1] as u64;
+        let marks = Marks { steps, every: steps.max(1) };
+        let mut errors = Vec::new();
+        let observed = observations(scene, (self.learn()?, false), truth)?;
+        let last = observed.frames.last().map(|frame| &frame.field);
+        let power = last.map_or(f64::NAN, |field| square(field));
+        for candidate in &self.candidates {
+            let who = (scene, candidate);
+            errors.push(Course::of_candidate(who, truth, &observed, marks, tick)?.errors);
+        }
+        found.power.push(power);
+        found.errors.push(errors);
+        Ok(())
+    }
+}
+
+/// Mean over nodes and components of `V²`.
+fn square<const D: usize>(field: &[Vector<f64, D>]) -> f64 {
+    field.iter().map(|v| v.norm_squared()).sum::<f64>() / (D * field.len()) as f64
+}
+
+/// Mean over nodes and components of `(V − W)²`.
+fn square_distance<const D: usize>(a: &[Vector<f64, D>], b: &[Vector<f64, D>]) -> f64 {
+    let squares = a.iter().zip(b).map(|(&a, &b)| (a - b).norm_squared());
+    squares.sum::<f64>() / (D * a.len()) as f64
+}
+
+fn mean_over_pairs<T>(all: &[T], distance: impl Fn(&T, &T) -> f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (k, one) in all.iter().enumerate() {
+        for other in &all[k + 1..] {
+            sum += distance(one, other);
+            count += 1.0;
+        }
+    }
+    sum / count
+}

@@ -1,0 +1,192 @@
+//! What a learned law respects: rotation, translation, boost, and both momenta.
+
+use super::Candidate;
+use crate::error::Result;
+use crate::flow::{Flow, State};
+use crate::scene::Forcing;
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+use glam::{DQuat, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Rotations whose errors are averaged.
+const TURNS: usize = 4;
+
+/// How far a law is from its symmetries in one state, without stirring.
+///
+/// The first three are mean-square differences of accelerations over their mean square,
+/// `Σ|F(SX) − S F(X)|² / Σ|F(X)|²`. Rotations are by arbitrary angles, which no periodic box
+/// survives: they turn a ball of particles that is cut free, and are looked at in its middle, where nobody
+/// feels the cut. The last two are sums over their terms' magnitudes,
+/// `|Σ m a| / Σ m|a|` in the box and `|Σ r × m a| / Σ |r × m a|` of the free ball.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Symmetry {
+    /// Of a rotation.
+    pub rotation: f64,
+    /// Of a translation.
+    pub translation: f64,
+    /// Of a Galilean boost.
+    pub boost: f64,
+    /// Linear momentum made.
+    pub momentum: f64,
+    /// Angular momentum made.
+    pub torque: f64,
+}
+
+impl Symmetry {
+    /// Not found.
+    pub const UNKNOWN: Self = Self {
+        rotation: f64::NAN,
+        translation: f64::NAN,
+        boost: f64::NAN,
+        momentum: f64::NAN,
+        torque: f64::NAN,
+    };
+
+    /// Of a candidate in a state.
+    ///
+    /// # Errors
+    /// As [`Candidate::flow`], and where the law's accelerations cannot be trusted.
+    pub fn of<const D: usize>(candidate: &Candidate, state: &State<D>) -> Result<Self> {
+        let mut flow = candidate.unstirred(state)?;
+        flow.start()?;
+        let here = flow.accelerations();
+        let space = PeriodicBox { length: candidate.scene.fluid.box_length };
+        let mut generator = ChaCha8Rng::seed_from_u64(7);
+        let mut vector = || Vector::<f64, D>([(); D].map(|()| generator.sample(StandardNormal)));
+        let (shift, boost) = (vector(), vector());
+        let mut of = |change: &dyn Fn(&mut State<D>)| -> Result<f64> {
+            let mut changed = state.clone();
+            change(&mut changed);
+            flow.reset(&changed);
+            flow.start()?;
+            Ok(apart(&flow.accelerations(), &here))
+        };
+        let translation =
+            of(&|s| s.positions.iter_mut().for_each(|r| *r = space.wrap(*r + shift)))?;
+        let boost = of(&|s| s.velocities.iter_mut().for_each(|v| *v += boost))?;
+        let sizes: f64 = here.iter().map(|a| a.norm()).sum();
+        let momentum = sum(here.iter().copied()).norm() / sizes;
+        let ball = Ball::cut(candidate, state);
+        let (rotation, torque) = ball.turned(&flow)?;
+        Ok(Self { rotation, translation, boost, momentum, torque })
+    }
+}
+
+/// `Σ|a − b|² / Σ|b|²`.
+fn apart<const D: usize>(a: &[Vector<f64, D>], b: &[Vector<f64, D>]) -> f64 {
+    let square = |(a, b): (&Vector<f64, D>, &Vector<f64, D>)| (*a - *b).norm_squared();
+    let difference: f64 = a.iter().zip(b).map(square).sum();
+    difference / b.iter().map(|b| b.norm_squared()).sum::<f64>()
+}
+
+fn sum<const D: usize>(all: impl Iterator<Item = Vector<f64, D>>) -> Vector<f64, D> {
+    let mut sum = Vector::zero();
+    all.for_each(|one| sum += one);
+    sum
+}
+
+/// The particles of a ball, free of everything around it.
+struct Ball<'a, const D: usize> {
+    candidate: &'a Candidate,
+    /// Relative to the middle.
+    state: State<D>,
+    /// Box in which its images are out of reach.
+    edge: f64,
+    /// Radius within which nobody feels the cut.
+    untouched: f64,
+}
+
+impl<'a, const D: usize> Ball<'a, D> {
+    /// From the middle of the box, and as far into its images as it takes.
+    fn cut(candidate: &'a Candidate, state: &State<D>) -> Self {
+        let fluid = &candidate.scene.fluid;
+        let (length, h) = (fluid.box_length, fluid.smoothing_length);
+        let untouched = 0.25 * length;
+        // Who is felt has a density that others have a part in.
+        let radius = untouched + 4.0 * h;
+        let mut ball = State { time: state.time, ..State::default() };
+        for image in images::<D>((radius / length).ceil() as i32) {
+            let shift = image * length + Vector([-0.5 * length; D]);
+            for (&r, &v) in state.positions.iter().zip(&state.velocities) {
+                if (r + shift).norm() < radius {
+                    ball.positions.push(r + shift);
+                    ball.velocities.push(v);
+                }
+            }
+        }
+        Self { candidate, state: ball, edge: 2.0 * radius + 4.0 * h, untouched }
+    }
+
+    /// Accelerations of the ball when it is turned; the law, mass included, is that of `whole`.
+    fn accelerations(&self, whole: &Flow<D>, turn: DQuat) -> Result<Vec<Vector<f64, D>>> {
+        let mut scene = self.candidate.scene.clone();
+        scene.forcing = Forcing::None;
+        scene.fluid.box_length = self.edge;
+        // At a free surface the density is no measure of anything.
+        (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
+        let rotated = |all: &[Vector<f64, D>]| all.iter().map(|&x| rotate(turn, x)).collect();
+        let mut state = State {
+            time: self.state.time,
+            positions: rotated(&self.state.positions),
+            velocities: rotated(&self.state.velocities),
+        };
+        let middle = Vector([0.5 * self.edge; D]);
+        state.positions.iter_mut().for_each(|r| *r += middle);
+        let mut flow = Flow::with_own_model(&scene, &state, whole.model().boxed())?;
+        flow.start()?;
+        Ok(flow.accelerations())
+    }
+
+    /// The error of rotations, and the torque.
+    fn turned(&self, whole: &Flow<D>) -> Result<(f64, f64)> {
+        let upright = self.accelerations(whole, DQuat::IDENTITY)?;
+        let inner = |all: &[Vector<f64, D>]| -> Vec<Vector<f64, D>> {
+            let rows = all.iter().zip(&self.state.positions);
+            rows.filter(|(_, r)| r.norm() < self.untouched).map(|(&a, _)| a).collect()
+        };
+        let mut error = 0.0;
+        for turn in turns::<D>() {
+            let expected: Vec<_> = upright.iter().map(|&a| rotate(turn, a)).collect();
+            let found = self.accelerations(whole, turn)?;
+            error += apart(&inner(&found), &inner(&expected)) / TURNS as f64;
+        }
+        let moment = |(r, a): (&Vector<f64, D>, &Vector<f64, D>)| {
+            DVec3::from(r.to_3d()).cross(DVec3::from(a.to_3d()))
+        };
+        let moments = || self.state.positions.iter().zip(&upright).map(moment);
+        let torque: DVec3 = moments().sum();
+        Ok((error, torque.length() / moments().map(|m| m.length()).sum::<f64>()))
+    }
+}
+
+/// Whole numbers from `-most` to `most` along every axis.
+fn images<const D: usize>(most: i32) -> impl Iterator<Item = Vector<f64, D>> {
+    let side = 2 * most + 1;
+    (0..side.pow(D as u32)).map(move |mut index| {
+        let mut along = || {
+            let number = index % side - most;
+            index /= side;
+            f64::from(number)
+        };
+        Vector([(); D].map(|()| along()))
+    })
+}
+
+/// Arbitrary rotations, in the plane for two dimensions.
+fn turns<const D: usize>() -> impl Iterator<Item = DQuat> {
+    let mut generator = ChaCha8Rng::seed_from_u64(8);
+    (0..TURNS).map(move |_| match D {
+        2 => DQuat::from_rotation_z(std::f64::consts::TAU * generator.random::<f64>()),
+        _ => {
+            let [x, y, z, w] = [(); 4].map(|()| generator.sample(StandardNormal));
+            DQuat::from_xyzw(x, y, z, w).normalize()
+        }
+    })
+}
+
+fn rotate<const D: usize>(turn: DQuat, x: Vector<f64, D>) -> Vector<f64, D> {
+    Vector::from_3d((turn * DVec3::from(x.to_3d())).to_array())
+}

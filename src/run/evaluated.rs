@@ -1,0 +1,119 @@
+//! Where an evaluation is written to: JSON, page, figures, recording.
+
+use super::{frame, run_info};
+use crate::error::{Error, Result};
+use crate::evaluation::{Course, Errors, Evaluation};
+use crate::recording::{self, Recorder, Values};
+use crate::report::Report;
+use std::path::{Path, PathBuf};
+
+/// The files of an evaluation, and what stands in them.
+#[derive(Clone, Debug)]
+pub struct EvaluationFiles {
+    /// The report.
+    pub report: Report,
+    /// Where it is as JSON.
+    pub json: PathBuf,
+    /// Where it is to be read.
+    pub html: PathBuf,
+    /// Where the flows are.
+    pub recording: Option<PathBuf>,
+}
+
+/// Writes `evaluation.json`, `evaluation.html`, one SVG per figure and, where asked for,
+/// `evaluation.mcap` into a folder.
+///
+/// # Errors
+/// [`Error::File`] where something cannot be written.
+pub fn write_evaluation<const D: usize>(
+    evaluation: &Evaluation<D>,
+    facts: Vec<(String, String)>,
+    (folder, record): (&Path, bool),
+) -> Result<EvaluationFiles> {
+    let report = evaluation.report(facts)?;
+    let [json, html] = ["evaluation.json", "evaluation.html"].map(|name| folder.join(name));
+    write(&json, &report.json()?)?;
+    write(&html, &report.html()?)?;
+    for figure in &report.figures {
+        write(&folder.join(format!("{}.svg", figure.name)), &figure.svg()?)?;
+    }
+    let recording = match record {
+        true => Some(record_flows(evaluation, &report, &folder.join("evaluation.mcap"))?),
+        false => None,
+    };
+    Ok(EvaluationFiles { report, json, html, recording })
+}
+
+/// Writes a file, and the folders it lies in, in one piece: a reader never meets half of it.
+///
+/// # Errors
+/// [`Error::File`] where it cannot be written.
+pub fn write(path: &Path, text: &str) -> Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(|error| Error::write(folder, error))?;
+    }
+    let unfinished = path.with_extension("unfinished");
+    std::fs::write(&unfinished, text).map_err(|error| Error::write(&unfinished, error))?;
+    std::fs::rename(&unfinished, path).map_err(|error| Error::write(path, error))
+}
+
+/// Records the first realisation: the truth and every learned flow on one clock, their errors by step,
+/// and the report as an attachment.
+fn record_flows<const D: usize>(
+    evaluation: &Evaluation<D>,
+    report: &Report,
+    path: &Path,
+) -> Result<PathBuf> {
+    let mut info = run_info(&evaluation.scene, "evaluate");
+    info.parameters.clear();
+    let mut recorder = Recorder::create(path, &info)?;
+    let marked: Vec<u64> = evaluation.plan.marks.marked().collect();
+    for (k, &step) in marked.iter().enumerate() {
+        for (place, (name, course)) in evaluation.courses.iter().enumerate() {
+            let (Some(state), Some(rho)) = (course.states.get(k), course.densities.get(k)) else {
+                continue;
+            };
+            let frame = frame(step, state, rho);
+            match place {
+                0 => recorder.frame(recording::Flow::Truth, frame)?,
+                _ => recorder.frame_of(name, frame)?,
+            }
+        }
+    }
+    record_errors(evaluation, &mut recorder)?;
+    recorder.attach("evaluation.json", "application/json", report.json()?.into_bytes())?;
+    recorder.finish()?;
+    Ok(path.to_owned())
+}
+
+/// One of the three errors, by step.
+type Kind = fn(&Errors) -> &[f64];
+
+/// Records the errors of the first realisation, with the floor among them, on the flows' clock.
+fn record_errors<const D: usize>(
+    evaluation: &Evaluation<D>,
+    recorder: &mut Recorder,
+) -> Result<()> {
+    let truth = evaluation.courses.first().and_then(|(_, truth)| truth.states.first());
+    let start = truth.map_or(0.0, |state| state.time);
+    let kinds: [(&str, Kind, &[f64]); 3] = [
+        ("/errors/field", |errors| &errors.field, &evaluation.independent),
+        ("/errors/kl", |errors| &errors.kl, &evaluation.floor),
+        ("/errors/trajectory", |errors| &errors.trajectory, &[]),
+    ];
+    for (topic, of, floor) in kinds {
+        for k in 0..evaluation.plan.marks.steps as usize {
+            let models = evaluation.courses.iter().skip(1);
+            let error = |(name, course): &(String, Course<D>)| {
+                (name.clone(), of(&course.errors).get(k).copied().unwrap_or(f64::NAN))
+            };
+            let mut rows: Vec<(String, f64)> = models.map(error).collect();
+            rows.extend(floor.get(k).map(|&floor| ("floor".to_owned(), floor)));
+            let (names, values) = rows.into_iter().unzip();
+            let step = k as u64 + 1;
+            let time = start + step as f64 * evaluation.scene.dt();
+            recorder.values(topic, Values { step, time, names, values })?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,342 @@
+//! The paper's evidence from nothing: truths, trainings, evaluations, resumable after a kill.
+
+use super::{Lesson, Progress, Training, TrainingReport, write, write_evaluation};
+use crate::error::{Error, Result};
+use crate::evaluation::{Candidate, Plan, Source, evaluate};
+use crate::learn::Learner;
+use crate::report::Report;
+use crate::scene::{Forcing, Optimiser, Scene, SpinUp, Weights};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The six models, from no physics to all of it.
+pub const MODELS: [&str; 6] = ["node", "nn-sum", "rot-inv", "grad-p", "eos-nn", "physics"];
+
+/// What the models are trained on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Study {
+    /// The paper's transient, by the field loss: beside its generalisation errors.
+    Field,
+    /// The same by field and statistics of velocity increments: beside its final losses.
+    Statistics,
+    /// A developed flow, stirred at random from rest and then at constant power, by the field loss.
+    Developed,
+}
+
+impl Study {
+    /// All of them, in order.
+    pub const ALL: [Self; 3] = [Self::Field, Self::Statistics, Self::Developed];
+
+    /// Its folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Field => "field",
+            Self::Statistics => "statistics",
+            Self::Developed => "developed",
+        }
+    }
+
+    /// What it is, in a sentence.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Field => {
+                "The paper's transient, ten steps after step 19 from a shaken lattice, learned by the \
+                 field loss."
+            }
+            Self::Statistics => {
+                "The same transient, learned by the field loss and the divergence between \
+                 distributions of velocity increments (eos-nn by the field loss alone)."
+            }
+            Self::Developed => {
+                "A developed flow, stirred at random from rest and then at constant power until its \
+                 energy is stationary, learned from ten steps by the field loss."
+            }
+        }
+    }
+
+    /// The scene in which a model is trained.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a model that no shipped scene has.
+    pub fn scene(self, model: &str, quick: bool) -> Result<Scene> {
+        let mut scene = Scene::shipped(&format!("{model}-3d"))?;
+        scene.name = format!("{}-{model}", self.name());
+        if quick {
+            (scene.fluid.particles_per_side, scene.fluid.smoothing_length) = (8, 0.67);
+        }
+        let after = if self == Self::Developed {
+            let (steps, after) = if quick { (60, 120) } else { (300, 600) };
+            let forcing = Forcing::Stochastic { interval: 0.2, strength: 1.0 };
+            scene.spin_up = Some(SpinUp { steps, forcing });
+            scene.initial.velocity = 0.0;
+            // Colours as bright as those of the transient.
+            scene.record.speed_scale = 2.0;
+            Some(after)
+        } else {
+            None
+        };
+        if let Some(learn) = &mut scene.learn {
+            learn.after = after.unwrap_or(learn.after);
+            if self != Self::Statistics {
+                learn.loss = Weights::default();
+                learn.warm_up = None;
+                // Second order, where its matrix is not too large.
+                if model != "node" {
+                    (learn.optimiser, learn.iterations) = (Optimiser::default(), 60);
+                }
+                if model == "physics" {
+                    learn.windows = vec![1, 3];
+                }
+            }
+            if quick {
+                learn.iterations = learn.iterations.min(if second_order(learn) { 12 } else { 60 });
+            }
+        }
+        scene.check(&scene.name.clone())?;
+        Ok(scene)
+    }
+}
+
+fn second_order(learn: &crate::scene::Learn) -> bool {
+    matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. })
+}
+
+/// One piece of work, done or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// A model is trained.
+    Train(Study, &'static str),
+    /// All models of a study are evaluated.
+    Evaluate(Study),
+}
+
+impl Stage {
+    /// All of them, in order.
+    pub fn all() -> Vec<Self> {
+        let of = |study: Study| {
+            let train = MODELS.map(|model| Self::Train(study, model));
+            train.into_iter().chain([Self::Evaluate(study)])
+        };
+        Study::ALL.into_iter().flat_map(of).collect()
+    }
+
+    /// In words.
+    pub fn name(self) -> String {
+        match self {
+            Self::Train(study, model) => format!("{}: train {model}", study.name()),
+            Self::Evaluate(study) => format!("{}: evaluate", study.name()),
+        }
+    }
+}
+
+/// What is reproduced, and where.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// The folder of everything.
+    pub folder: PathBuf,
+    /// Whether a small flow and short searches will do.
+    pub quick: bool,
+    /// Seed of truths and first weights.
+    pub seed: u64,
+}
+
+/// What has been said when a stage was done: what it was, and what came of it.
+#[derive(Debug, Serialize, Deserialize)]
+struct Done<T> {
+    /// Whatever would change the result.
+    of: String,
+    result: T,
+}
+
+impl Reproduction {
+    fn scene(&self, study: Study, model: &str) -> Result<Scene> {
+        Ok(Scene { seed: self.seed, ..study.scene(model, self.quick)? })
+    }
+
+    fn plan(&self, trained: usize) -> Plan {
+        if self.quick { Plan::quick(trained) } else { Plan::new(trained) }
+    }
+
+    fn file(&self, study: Study, name: &str) -> PathBuf {
+        self.folder.join(study.name()).join(name)
+    }
+
+    /// Units of work of a stage, for an estimate of the time left: milliseconds on two cores.
+    ///
+    /// # Errors
+    /// As [`Study::scene`].
+    pub fn work(&self, stage: Stage) -> Result<u64> {
+        let size = if self.quick { 0.125 } else { 1.0 };
+        let milliseconds = match stage {
+            Stage::Train(study, model) => {
+                let scene = self.scene(study, model)?;
+                let learn = scene.learning()?;
+                learn.iterations as f64 * iteration_cost(model, second_order(learn))
+            }
+            Stage::Evaluate(_) => 15.0 * self.plan(10).work(MODELS.len()) as f64,
+        };
+        Ok((size * milliseconds) as u64)
+    }
+
+    /// Whether a stage is done already.
+    ///
+    /// # Errors
+    /// As [`Study::scene`].
+    pub fn is_done(&self, stage: Stage) -> Result<bool> {
+        Ok(match stage {
+            Stage::Train(study, model) => self.trained(study, model)?.is_some(),
+            Stage::Evaluate(study) => {
+                self.evaluated(study).ok().flatten().is_some()
+                    && MODELS.iter().all(|model| matches!(self.trained(study, model), Ok(Some(_))))
+            }
+        })
+    }
+
+    fn trained(&self, study: Study, model: &str) -> Result<Option<TrainingReport>> {
+        let of = self.scene(study, model)?.to_toml();
+        let done = remembered(&self.file(study, &format!("{model}.done.json")), &of);
+        Ok(done.filter(|_| self.file(study, &format!("{model}.mcap")).exists()))
+    }
+
+    fn evaluated(&self, study: Study) -> Result<Option<Report>> {
+        Ok(remembered(&self.file(study, "evaluation.done.json"), &self.evaluation_of(study)?))
+    }
+
+    /// What an evaluation depends on.
+    fn evaluation_of(&self, study: Study) -> Result<String> {
+        let scenes = MODELS.iter().map(|model| Ok(self.scene(study, model)?.to_toml()));
+        let scenes = scenes.collect::<Result<Vec<_>>>()?;
+        Ok(format!("{:?}\n{}", self.plan(10), scenes.join("\n")))
+    }
+
+    /// Does a stage, and remembers that it is done; `tick` is called with the share of it that is done
+    /// and a word on how it goes.
+    ///
+    /// # Errors
+    /// As [`Training::run`] and [`evaluate`].
+    pub fn run(&self, stage: Stage, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
+        match stage {
+            Stage::Train(study, model) => self.train(study, model, tick),
+            Stage::Evaluate(study) => self.evaluate(study, tick),
+        }
+    }
+
+    fn train(&self, study: Study, model: &str, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
+        let scene = self.scene(study, model)?;
+        let lesson = Lesson::<3>::new(&scene, None)?;
+        let mut learner = Learner::of_truth(&scene, &lesson.truth)?;
+        let guess = learner.guess(scene.seed);
+        let record = self.file(study, &format!("{model}.mcap"));
+        let training = Training { scene: &scene, lesson: &lesson, record: &record, floor: false };
+        let most = lesson.learn.iterations as f64;
+        let report = training.run(&mut learner, guess, &mut |progress| {
+            if let Progress::Iteration(iteration) = progress {
+                let share = (iteration.index as f64 / most).min(1.0);
+                tick(share, &format!("loss {:.2e}", iteration.evaluation.loss));
+            }
+        })?;
+        let file = self.file(study, &format!("{model}.done.json"));
+        remember(&file, Done { of: scene.to_toml(), result: report })
+    }
+
+    fn evaluate(&self, study: Study, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
+        let mut candidates = Vec::new();
+        for model in MODELS {
+            let mut candidate = Candidate::open::<3>(&self.file(study, &format!("{model}.mcap")))?;
+            let report = self.trained(study, model)?;
+            candidate.seconds = report.map(|report| report.seconds.train);
+            candidates.push(candidate);
+        }
+        let trained = candidates[0].learn()?.frames;
+        let plan = self.plan(trained);
+        let scene = Scene { name: study.name().to_owned(), ..candidates[0].scene.clone() };
+        let (work, mut done) = (plan.work(candidates.len()) as f64, 0.0);
+        let evaluation = evaluate((&scene, Source::<3>::Scene), candidates, plan, &mut || {
+            done += 1.0;
+            tick(done / work, "");
+        })?;
+        let folder = self.folder.join(study.name());
+        let files = write_evaluation(&evaluation, self.facts(), (&folder, true))?;
+        let of = self.evaluation_of(study)?;
+        remember(&self.file(study, "evaluation.done.json"), Done { of, result: files.report })
+    }
+
+    /// How to repeat it.
+    fn facts(&self) -> Vec<(String, String)> {
+        let quick = if self.quick { " -- --quick" } else { "" };
+        let facts = [
+            ("command", format!("cargo run --release --bin reproduce{quick}")),
+            ("seed", self.seed.to_string()),
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+        ];
+        facts.map(|(name, value)| (name.to_owned(), value)).to_vec()
+    }
+
+    /// All studies as one report, also written into the folder as `reproduction.json` and `.html`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a study is not done, [`Error::File`] where the report cannot be written.
+    pub fn conclude(&self) -> Result<Report> {
+        let mut whole = Report {
+            title: "A hierarchy of learned models of turbulence".to_owned(),
+            about: vec![
+                "Six models, from a network that knows nothing to the physics itself, learn three \
+                 times, and are let go on flows that they have not seen."
+                    .to_owned(),
+            ],
+            facts: self.facts(),
+            tables: Vec::new(),
+            figures: Vec::new(),
+        };
+        for study in Study::ALL {
+            let Some(mut report) = self.evaluated(study)? else {
+                return Err(Error::input(
+                    study.name(),
+                    "a study that is done",
+                    "one that is not",
+                    "run `reproduce` again: it goes on where it was",
+                ));
+            };
+            let name = study.name();
+            whole.about.push(format!("{name}: {}", study.about()));
+            for table in &mut report.tables {
+                (table.name, table.title) =
+                    (format!("{name}-{}", table.name), format!("{} ({name})", table.title));
+            }
+            for figure in &mut report.figures {
+                (figure.name, figure.title) =
+                    (format!("{name}-{}", figure.name), format!("{} ({name})", figure.title));
+            }
+            whole.tables.append(&mut report.tables);
+            whole.figures.append(&mut report.figures);
+        }
+        write(&self.folder.join("reproduction.json"), &whole.json()?)?;
+        write(&self.folder.join("reproduction.html"), &whole.html()?)?;
+        Ok(whole)
+    }
+}
+
+/// Milliseconds of one iteration on 4096 particles, roughly.
+fn iteration_cost(model: &str, second_order: bool) -> f64 {
+    match (second_order, model) {
+        (false, _) => 300.0,
+        (true, "nn-sum") => 2500.0,
+        (true, "rot-inv" | "grad-p") => 1500.0,
+        (true, "physics") => 40.0,
+        (true, _) => 600.0,
+    }
+}
+
+fn remember<T: Serialize>(file: &Path, done: Done<T>) -> Result<()> {
+    let text = serde_json::to_string(&done).map_err(|error| {
+        Error::input(file.display(), "numbers that JSON can hold", error, "report it as a bug")
+    })?;
+    write(file, &text)
+}
+
+/// What came of it, if it was done and of the same things.
+fn remembered<T: for<'a> Deserialize<'a>>(file: &Path, of: &str) -> Option<T> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let done: Done<T> = serde_json::from_str(&text).ok()?;
+    (done.of == of).then_some(done.result)
+}
