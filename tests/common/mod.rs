@@ -121,6 +121,13 @@ pub(crate) fn started<const D: usize>(scene: &Scene, state: &State<D>) -> Flow<D
     flow
 }
 
+/// Densities of a state; nothing is judged.
+pub(crate) fn densities<const D: usize>(scene: &Scene, state: &State<D>) -> Vec<f64> {
+    let mut scene = scene.clone();
+    (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
+    started(&scene, state).densities()
+}
+
 /// The state after `steps` steps of `dt`.
 pub(crate) fn after<const D: usize>(flow: &mut Flow<D>, steps: usize) -> State<D> {
     (0..steps).for_each(|_| flow.step().unwrap());
