@@ -137,6 +137,17 @@ pub enum KernelName {
     WendlandC4,
 }
 
+impl KernelName {
+    /// Its name in scenes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CubicSpline => "cubic-spline",
+            Self::WendlandC2 => "wendland-c2",
+            Self::WendlandC4 => "wendland-c4",
+        }
+    }
+}
+
 /// The same call on whichever kernel it is.
 macro_rules! whichever {
     ($name:expr, $method:ident($q:expr)) => {

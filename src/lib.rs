@@ -24,6 +24,7 @@ pub mod state;
 pub mod statistics;
 #[path = "../systems/mod.rs"]
 pub mod systems;
+pub mod trade;
 pub mod truth;
 pub mod vector;
 pub mod viscosity;

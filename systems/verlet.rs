@@ -38,6 +38,16 @@ impl Step {
     /// All steps.
     pub const ALL: [Self; 4] = [Self::KickDriftKick, Self::Paper, Self::OneForce, Self::TwoForce];
 
+    /// Its name in scenes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::KickDriftKick => "kick-drift-kick",
+            Self::Paper => "paper",
+            Self::OneForce => "one-force",
+            Self::TwoForce => "two-force",
+        }
+    }
+
     /// Whether each step begins with a force evaluation of its own.
     pub fn refreshes(self) -> bool {
         matches!(self, Self::Paper | Self::TwoForce)

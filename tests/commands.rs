@@ -67,6 +67,35 @@ fn train_ends_with_the_json_object_of_its_contract() {
 }
 
 #[test]
+fn trade_prices_flows_and_gradients() {
+    let place = Place::new();
+    let options = ["small.toml", "--steps", "4", "--rounds", "1", "--out", "prices", "--json"];
+    let prices = place.json("trade", &options);
+    let table = |k: usize| &prices["tables"][k];
+    assert_eq!((&table(0)["name"], &table(1)["name"]), (&"flow".into(), &"gradient".into()));
+    let cell = |k: usize, name: &str, column: &str| {
+        let rows = table(k)["rows"].as_array().unwrap();
+        let row = rows.iter().find(|row| row["name"] == name).unwrap();
+        let columns = table(k)["columns"].as_array().unwrap();
+        let place = columns.iter().position(|c| c == column).unwrap() - 1;
+        row["cells"][place].as_f64().unwrap()
+    };
+    let error = |step: &str| cell(0, &format!("step: {step}"), "trajectory");
+    assert!(error("kick-drift-kick, dt/4") < 0.3 * error("kick-drift-kick, dt"));
+    assert!(error("paper, dt/4") < 0.5 * error("paper, dt"));
+    // A skin buys speed alone.
+    let skin = |width: &str| cell(0, &format!("skin: {width} h"), "trajectory");
+    assert!((skin("0") - skin("0.5")).abs() < 1e-9 * skin("0"));
+    for way in ["way: forward", "storage: adjoint, checkpoints = 1"] {
+        assert!(cell(1, way, "difference") < 1e-10, "{way}");
+    }
+    assert!(cell(1, "coupling: local", "difference") > 1e-6);
+    for file in ["prices.json", "prices.html", "price-of-a-step.svg"] {
+        assert!(place.path("prices").join(file).exists(), "{file}");
+    }
+}
+
+#[test]
 fn train_records_the_same_bytes_for_any_number_of_threads() {
     let place = Place::new();
     for threads in ["1", "2"] {
@@ -336,7 +365,7 @@ fn a_folder_that_is_not_there_is_a_failure_of_the_run() {
 fn help_names_every_option() {
     let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
     let place = Place::new();
-    let commands: [(&str, &[&str]); 6] = [
+    let commands: [(&str, &[&str]); 7] = [
         (
             "train",
             &[
@@ -383,6 +412,7 @@ fn help_names_every_option() {
             ],
         ),
         ("reproduce", &["--quick", "--out", "--seed", "--threads", "--json"]),
+        ("trade", &["--steps", "--rounds", "--out", "--set", "--seed", "--threads", "--json"]),
     ];
     for (command, own) in commands {
         let done = place.run(command, &["--help"]);
@@ -397,7 +427,7 @@ fn help_names_every_option() {
 #[test]
 fn version_begins_with_the_name_of_the_command() {
     let place = Place::new();
-    for command in ["train", "simulate", "import", "replay", "evaluate", "reproduce"] {
+    for command in ["train", "simulate", "import", "replay", "evaluate", "reproduce", "trade"] {
         let version = place.run(command, &["--version"]).out;
         assert_eq!(version.trim_end(), format!("{command} {}", env!("CARGO_PKG_VERSION")));
     }

@@ -34,9 +34,10 @@ pub struct Summary {
     pub kl_over_time: f64,
     /// Median over strengths and realisations of the mean field error up to the training's horizon.
     pub field_over_strength: f64,
-    /// The last step, counted from the training's horizon on, up to which the KL is within twice the
-    /// floor: the median over realisations.
+    /// How many of all steps have a KL within twice the floor: the median over realisations.
     pub within_twice_floor: u64,
+    /// The step up to which it stays there, from the training's horizon on.
+    pub within_until: u64,
     /// The last step up to which the field error is below half of that between independent truths.
     pub follows: u64,
     /// The first step at which any realisation diverged.
@@ -65,7 +66,12 @@ impl<const D: usize> Evaluation<D> {
             let beyond = (from..errors.len()).find(is_beyond);
             beyond.unwrap_or(errors.len()) as f64
         };
-        let within = |trial: &Trial| until(&trial.errors.kl, &|k| 2.0 * self.floor[k]);
+        let bound = |k: usize| 2.0 * self.floor[k];
+        let stays = |trial: &Trial| until(&trial.errors.kl, &bound);
+        let within = |trial: &Trial| {
+            let kl = trial.errors.kl.iter().enumerate();
+            kl.filter(|&(k, &kl)| kl <= bound(k)).count() as f64
+        };
         let follows = |trial: &Trial| until(&trial.errors.field, &|k| 0.5 * self.independent[k]);
         let median = |of: &dyn Fn(&Trial) -> f64| {
             Spread::of(self.trials_of(candidate).map(of)).median.floor() as u64
@@ -75,6 +81,7 @@ impl<const D: usize> Evaluation<D> {
             kl_over_time: over_time(&|errors, step| errors.kl[step - 1]),
             field_over_strength: self.median_over(&self.strengths, candidate, trained),
             within_twice_floor: median(&within),
+            within_until: median(&stays),
             follows: median(&follows),
             diverged: self.trials_of(candidate).filter_map(|trial| trial.diverged).min(),
         }
@@ -215,6 +222,7 @@ impl<const D: usize> Evaluation<D> {
             let field = steps.map(|step| median(&|errors| at(&errors.field, step)));
             let kl = steps.map(|step| median(&|errors| at(&errors.kl, step)));
             let mut cells: Vec<Cell> = field.into_iter().chain(kl).collect();
+            cells.push(Cell::Count(summary.within_until));
             cells.push(Cell::Count(summary.within_twice_floor));
             cells.push(Cell::Count(summary.follows));
             cells.push(summary.diverged.map_or(Cell::Text("no".to_owned()), Cell::Count));
@@ -223,7 +231,7 @@ impl<const D: usize> Evaluation<D> {
         let mut rows = self.rows(cells);
         let floors = steps.map(|step| Cell::Number(at(&self.independent, step)));
         let kl = steps.map(|step| Cell::Number(at(&self.floor, step)));
-        let rest = [Cell::Nothing, Cell::Nothing, Cell::Nothing];
+        let rest = [(); 4].map(|()| Cell::Nothing);
         rows.push(Row {
             name: "independent truth".to_owned(),
             role: Role::Floor,
@@ -232,14 +240,20 @@ impl<const D: usize> Evaluation<D> {
         let mut headings = columns(&["model"]);
         headings.extend(steps.map(|step| format!("L_f, step {step}")));
         headings.extend(steps.map(|step| format!("KL, step {step}")));
-        headings.extend(columns(&["KL within 2× floor until", "follows until", "diverged"]));
+        headings.extend(columns(&[
+            "KL within 2× floor until",
+            "steps within",
+            "follows until",
+            "diverged",
+        ]));
         Table {
             name: "horizons".to_owned(),
             title: "How long a model holds".to_owned(),
             caption: "Errors of single steps. A model follows the flow until its field error \
                       reaches half of that between independent truths; its statistics hold until \
-                      the KL, from the training's horizon on, first exceeds twice the floor. Steps, medians; \
-                      a divergence is the first in any realisation."
+                      the KL, from the training's horizon on, first exceeds twice the floor; of all \
+                      steps, so many are within it. Medians; a divergence is the first in any \
+                      realisation."
                 .to_owned(),
             columns: headings,
             rows,

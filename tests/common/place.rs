@@ -61,6 +61,7 @@ impl Place {
             "train" => env!("CARGO_BIN_EXE_train"),
             "simulate" => env!("CARGO_BIN_EXE_simulate"),
             "import" => env!("CARGO_BIN_EXE_import"),
+            "trade" => env!("CARGO_BIN_EXE_trade"),
             "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
             "reproduce" => env!("CARGO_BIN_EXE_reproduce"),
             "replay" => env!("CARGO_BIN_EXE_replay"),

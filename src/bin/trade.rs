@@ -1,0 +1,107 @@
+//! `trade`: the price list of accuracy.
+
+mod common;
+#[path = "common/flow.rs"]
+mod flow;
+#[path = "common/scene.rs"]
+mod scene;
+
+use clap::Parser;
+use common::{conclude, say, say_json};
+use flow::{in_dimension, progress};
+use scene::{SceneArguments, explain};
+use serde_json::json;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use whirls::run::write;
+use whirls::trade::{Plan, price_flows, price_gradients, report};
+use whirls::truth::Truth;
+use whirls::{Flow, Result, Scene};
+
+/// Measures, on this machine, what every setting that buys speed costs in accuracy.
+#[derive(Parser)]
+#[command(name = "trade", version)]
+struct Arguments {
+    /// A shipped scene or a .toml file.
+    #[arg(default_value = "inverse-3d")]
+    scene: String,
+    /// How far flows are followed, in steps of the scene.
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..))]
+    steps: u64,
+    /// How often each time is taken; the median counts.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    rounds: u16,
+    /// Folder for prices.json, prices.html and the figure [default: recordings/trade-SCENE].
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    common: SceneArguments,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
+        if arguments.common.print_scene {
+            say(scene.to_toml());
+            return Ok(());
+        }
+        in_dimension!(scene, trade(&arguments, &scene))
+    }))
+}
+
+fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    if arguments.common.explain {
+        let mut flow = Flow::<D>::new(scene)?;
+        flow.start()?;
+        return explain(&mut flow);
+    }
+    let plan = Plan { steps: arguments.steps, rounds: usize::from(arguments.rounds) };
+    let (after, frames) = scene.learn.as_ref().map_or((0, 0), |learn| (learn.after, learn.frames));
+    let truth = Truth::<D>::generate(scene, (after, frames))?;
+    let bar = progress(Plan::work(scene), "trade");
+    let mut tick = |what: &str| {
+        bar.inc(1);
+        bar.set_message(what.to_owned());
+    };
+    let flows = price_flows(scene, &truth.states[0], plan, &mut tick);
+    let gradients = match &scene.learn {
+        Some(_) => price_gradients(scene, &truth, plan, &mut tick),
+        None => Ok(Vec::new()),
+    };
+    bar.finish_and_clear();
+    let report = report((scene, plan), &flows?, &gradients?, facts(scene));
+    report.tables.iter().for_each(|table| say(table.plain_text()));
+    let default = PathBuf::from(format!("recordings/trade-{}", scene.name));
+    let folder = arguments.out.clone().unwrap_or(default);
+    let [json, html] = ["prices.json", "prices.html"].map(|name| folder.join(name));
+    write(&json, &report.json()?)?;
+    write(&html, &report.html()?)?;
+    for figure in &report.figures {
+        write(&folder.join(format!("{}.svg", figure.name)), &figure.svg()?)?;
+    }
+    say(format!("report in {}", html.display()));
+    if !arguments.common.json {
+        return Ok(());
+    }
+    say_json(&json!({
+        "scene": scene.name,
+        "particles": scene.particles(),
+        "steps": plan.steps,
+        "rounds": plan.rounds,
+        "tables": report.tables,
+        "report": json,
+        "html": html,
+    }))
+}
+
+/// How to repeat it.
+fn facts(scene: &Scene) -> Vec<(String, String)> {
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let threads = rayon::current_num_threads();
+    vec![
+        ("command".to_owned(), format!("trade {}", command.join(" "))),
+        ("seed".to_owned(), scene.seed.to_string()),
+        ("threads".to_owned(), threads.to_string()),
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+    ]
+}

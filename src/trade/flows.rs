@@ -1,0 +1,198 @@
+//! The price of a flow: step, time step, kernel, smoothing length, skin.
+
+use super::{Effect, Plan, Setting, median};
+use crate::error::Result;
+use crate::flow::{Flow, State};
+use crate::losses::Mesh;
+use crate::scene::{KernelName, Scene};
+use crate::space::PeriodicBox;
+use crate::statistics::{conservation, momentum};
+use crate::systems::verlet::Step;
+use crate::truth::velocity_field;
+use crate::vector::Vector;
+use std::time::Instant;
+
+/// How much finer the steps of the reference are.
+const FINER: u32 = 16;
+
+/// How far a flow is from the reference, at the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlowErrors {
+    /// Root-mean-square distance of particles, over the smoothing length.
+    pub trajectory: f64,
+    /// Root-mean-square difference of the smoothed velocity field, over that of the field.
+    pub field: f64,
+    /// Difference of the total energy, over the energy.
+    pub energy: f64,
+    /// Drift of the momentum, over `Σ m|v|`.
+    pub momentum: f64,
+}
+
+impl FlowErrors {
+    /// Of a flow that did not come to its end.
+    const LOST: Self =
+        Self { trajectory: f64::NAN, field: f64::NAN, energy: f64::NAN, momentum: f64::NAN };
+}
+
+/// What a setting costs, and what it is worth.
+#[derive(Clone, Debug)]
+pub struct FlowPrice {
+    /// The setting.
+    pub setting: Setting,
+    /// Time of one step, in nanoseconds per particle.
+    pub step_ns: f64,
+    /// Time for the same stretch of flow, over that of the scene's own setting.
+    pub cost: f64,
+    /// Memory, in bytes per particle.
+    pub bytes: f64,
+    /// Mean number of neighbours.
+    pub neighbours: f64,
+    /// Errors against the reference.
+    pub errors: FlowErrors,
+}
+
+/// The settings that are tried; the first is the scene's own.
+fn settings(scene: &Scene) -> Vec<Setting> {
+    let own = |_: &mut Scene| {};
+    let mut all = vec![Setting::new(("as it is", Effect::Accuracy), "", scene, own)];
+    for step in Step::ALL {
+        for (name, factor) in [("dt", 1.0), ("dt/2", 0.5), ("dt/4", 0.25), ("2 dt", 2.0)] {
+            let value = format!("{}, {name}", step.name());
+            let change = |s: &mut Scene| {
+                (s.time.dt, s.time.step) = (Some(factor * scene.dt()), step);
+            };
+            all.push(Setting::new(("step", Effect::Accuracy), value, scene, change));
+        }
+    }
+    for skin in [0.0, 0.1, 0.2, 0.3, 0.5] {
+        let change = |s: &mut Scene| s.time.skin = skin;
+        all.push(Setting::new(("skin", Effect::None), format!("{skin} h"), scene, change));
+    }
+    for kernel in [KernelName::CubicSpline, KernelName::WendlandC2, KernelName::WendlandC4] {
+        for wider in [1.0, 1.25, 1.5] {
+            let h = wider * scene.fluid.smoothing_length;
+            if 2.0 * h > 0.5 * scene.fluid.box_length {
+                continue;
+            }
+            let change = |s: &mut Scene| {
+                s.time.dt = Some(scene.dt());
+                (s.fluid.kernel, s.fluid.smoothing_length) = (kernel, h);
+            };
+            let value = format!("{}, {wider} h", kernel.name());
+            all.push(Setting::new(("kernel", Effect::Other), value, scene, change));
+        }
+    }
+    all
+}
+
+/// Prices every setting of a flow from a state; `tick` is called behind each.
+///
+/// # Errors
+/// [`crate::Error::Diverged`] where the reference or the scene's own setting does not hold.
+pub fn price_flows<const D: usize>(
+    scene: &Scene,
+    state: &State<D>,
+    plan: Plan,
+    tick: &mut dyn FnMut(&str),
+) -> Result<Vec<FlowPrice>> {
+    let mut fine = scene.clone();
+    fine.time.step = Step::KickDriftKick;
+    fine.time.dt = Some(scene.dt() / f64::from(FINER));
+    let reference = End::of(&fine, state, plan.steps * u64::from(FINER))?;
+    tick("reference");
+    let settings = settings(scene);
+    let mut prices = Vec::new();
+    for setting in settings {
+        let value = format!("{} {}", setting.knob, setting.value);
+        prices.push(price(scene, (setting, state), (&reference, plan))?);
+        tick(&value);
+    }
+    Ok(prices)
+}
+
+/// Number of settings, and the reference.
+pub(super) fn work(scene: &Scene) -> u64 {
+    settings(scene).len() as u64 + 1
+}
+
+fn price<const D: usize>(
+    own: &Scene,
+    (setting, state): (Setting, &State<D>),
+    (reference, plan): (&End<D>, Plan),
+) -> Result<FlowPrice> {
+    let steps = (plan.steps as f64 * own.dt() / setting.scene.dt()).round() as u64;
+    let (mut shares, mut times) = (Vec::new(), Vec::new());
+    let mut end = Err(crate::Error::input("a price", "one round at least", 0, "ask for one"));
+    for _ in 0..plan.rounds.max(1) {
+        let beside = End::of(own, state, plan.steps)?;
+        end = End::of(&setting.scene, state, steps);
+        let Ok(end) = &end else { break };
+        shares.push(end.seconds / beside.seconds);
+        times.push(1e9 * end.seconds / (steps.max(1) as f64 * state.positions.len() as f64));
+    }
+    let (cost, step_ns) = (median(shares), median(times));
+    Ok(match end {
+        Ok(end) => {
+            let errors = end.errors(own, (state, reference));
+            let (bytes, neighbours) = (end.bytes, end.neighbours);
+            FlowPrice { setting, step_ns, cost, bytes, neighbours, errors }
+        }
+        Err(_) => FlowPrice {
+            setting,
+            step_ns,
+            cost,
+            bytes: f64::NAN,
+            neighbours: f64::NAN,
+            errors: FlowErrors::LOST,
+        },
+    })
+}
+
+/// A flow at its end.
+struct End<const D: usize> {
+    state: State<D>,
+    field: Vec<Vector<f64, D>>,
+    energy: f64,
+    seconds: f64,
+    bytes: f64,
+    neighbours: f64,
+}
+
+impl<const D: usize> End<D> {
+    fn of(scene: &Scene, state: &State<D>, steps: u64) -> Result<Self> {
+        let mut flow = Flow::from_state(scene, state)?;
+        flow.start()?;
+        let clock = Instant::now();
+        (0..steps).try_for_each(|_| flow.step())?;
+        let seconds = clock.elapsed().as_secs_f64();
+        let (end, densities) = (flow.state(), flow.densities());
+        let per_axis = (state.positions.len() as f64).powf(1.0 / D as f64).round() as usize;
+        let mesh = Mesh { per_axis, length: scene.fluid.box_length };
+        Ok(Self {
+            field: velocity_field(scene, &mesh, &end, &densities),
+            energy: conservation(&mut flow).total_energy,
+            seconds,
+            bytes: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
+            neighbours: flow.neighbours_per_particle(),
+            state: end,
+        })
+    }
+
+    fn errors(&self, scene: &Scene, (start, reference): (&State<D>, &Self)) -> FlowErrors {
+        let space = PeriodicBox { length: scene.fluid.box_length };
+        let count = self.state.positions.len() as f64;
+        let places = self.state.positions.iter().zip(&reference.state.positions);
+        let apart: f64 = places.map(|(&a, &b)| space.minimum_image(a - b).norm_squared()).sum();
+        let fields = self.field.iter().zip(&reference.field);
+        let differ: f64 = fields.map(|(&a, &b)| (a - b).norm_squared()).sum();
+        let size: f64 = reference.field.iter().map(|v| v.norm_squared()).sum();
+        let speeds: f64 = start.velocities.iter().map(|v| v.norm()).sum();
+        let drift = momentum(1.0, &self.state.velocities) - momentum(1.0, &start.velocities);
+        FlowErrors {
+            trajectory: (apart / count).sqrt() / scene.fluid.smoothing_length,
+            field: (differ / size).sqrt(),
+            energy: (self.energy - reference.energy).abs() / reference.energy.abs(),
+            momentum: drift.norm() / speeds,
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Any scene inside the stated bounds runs, or is refused with a reason; none panics, none hands out a
+//! number that means nothing.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+
+mod common;
+
+use proptest::prelude::*;
+use whirls::flow::State;
+use whirls::forcing::Power;
+use whirls::scene::{Forcing, KernelName};
+use whirls::systems::verlet::Step;
+use whirls::{Error, Flow, Scene};
+
+/// Numbers over many magnitudes, zero among them.
+fn magnitude(low: i32, high: i32) -> impl Strategy<Value = f64> {
+    prop_oneof![
+        1 => Just(0.0),
+        9 => (f64::from(low)..f64::from(high)).prop_map(|exponent| 10_f64.powf(exponent)),
+    ]
+}
+
+fn forcing() -> impl Strategy<Value = Forcing> {
+    prop_oneof![
+        Just(Forcing::None),
+        (magnitude(-3, 4), any::<bool>()).prop_map(|(theta, exact)| {
+            let power = if exact { Power::Exact } else { Power::Paper };
+            Forcing::Deterministic { theta, power }
+        }),
+        (1e-3..1.0, magnitude(-2, 3))
+            .prop_map(|(interval, strength)| Forcing::Stochastic { interval, strength }),
+    ]
+}
+
+/// Scenes of few particles: the physics anywhere, some of it beyond what the time step can follow.
+fn scene(dimension: usize) -> impl Strategy<Value = Scene> {
+    let fluid = (1_usize..7, 0.05..0.26, magnitude(-2, 3), magnitude(-3, 3), 0.5..30.0);
+    let flow = (magnitude(-3, 2), magnitude(-4, 1), forcing(), 0..4_usize, 0..3_usize);
+    (fluid, flow, 0.01..2.0, any::<u64>()).prop_map(
+        move |(
+            (side, h, alpha, beta, gamma),
+            (velocity, jitter, forcing, step, kernel),
+            courant,
+            seed,
+        )| {
+            let shipped = if dimension == 2 { "inverse-2d" } else { "inverse-3d" };
+            let mut scene = Scene::shipped(shipped).unwrap();
+            scene.learn = None;
+            scene.seed = seed;
+            scene.fluid.particles_per_side = side;
+            scene.fluid.smoothing_length = h * scene.fluid.box_length;
+            (scene.fluid.alpha, scene.fluid.beta, scene.fluid.gamma) = (alpha, beta, gamma);
+            scene.fluid.kernel = common::KERNELS[kernel];
+            (scene.initial.velocity, scene.initial.jitter) = (velocity, jitter);
+            scene.forcing = forcing;
+            (scene.time.step, scene.time.courant) = (Step::ALL[step], courant);
+            scene
+        },
+    )
+}
+
+fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<(), TestCaseError> {
+    let text = scene.to_toml();
+    let read = match Scene::parse(&text, "random", &[]) {
+        Ok(read) => read,
+        Err(error) => {
+            prop_assert_eq!(error.exit_code(), 2);
+            return Ok(());
+        }
+    };
+    prop_assert_eq!(&read, scene, "a scene survives being written out");
+    let mut flow = Flow::<D>::new(scene).unwrap();
+    for _ in 0..6 {
+        if let Err(error) = flow.step() {
+            let Error::Diverged { quantity, found, remedy, .. } = &error else {
+                return Err(TestCaseError::fail(format!("{error}")));
+            };
+            prop_assert!(!quantity.is_empty() && !found.is_empty() && !remedy.is_empty());
+            return Ok(());
+        }
+        let State { positions, velocities, .. } = flow.state();
+        let inside = |x: f64| (0.0..scene.fluid.box_length).contains(&x);
+        prop_assert!(positions.iter().all(|r| r.0.iter().all(|&x| inside(x))));
+        prop_assert!(velocities.iter().all(|v| v.is_finite()));
+        prop_assert!(flow.densities().iter().all(|&rho| rho.is_finite() && rho > 0.0));
+        let rates = flow.momentum_rates();
+        prop_assert!(rates.pressure.norm() <= 1e-11 * rates.scale, "{:?}", rates);
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(common::random(150))]
+
+    #[test]
+    fn any_2d_scene_runs_or_says_why(scene in scene(2)) {
+        runs_or_says_why::<2>(&scene)?;
+    }
+
+    #[test]
+    fn any_3d_scene_runs_or_says_why(scene in scene(3)) {
+        runs_or_says_why::<3>(&scene)?;
+    }
+
+    #[test]
+    fn any_text_is_a_scene_or_is_refused(text in "\\PC{0,200}", key in "[a-z_.]{0,20}=\\PC{0,20}") {
+        for overrides in [vec![], vec![key]] {
+            if let Err(error) = Scene::parse(&text, "random", &overrides) {
+                prop_assert_eq!(error.exit_code(), 2);
+            }
+        }
+    }
+}
+
+/// The kernels by name, as scenes spell them.
+#[test]
+fn names_of_kernels_and_steps_are_those_of_scenes() {
+    for kernel in common::KERNELS {
+        let set = [format!("fluid.kernel={}", kernel.name())];
+        assert_eq!(Scene::open("inverse-2d", &set).unwrap().fluid.kernel, kernel);
+    }
+    for step in Step::ALL {
+        let set = [format!("time.step={}", step.name())];
+        assert_eq!(Scene::open("inverse-2d", &set).unwrap().time.step, step);
+    }
+    assert_eq!(KernelName::default().name(), "cubic-spline");
+}
