@@ -67,6 +67,23 @@ fn train_ends_with_the_json_object_of_its_contract() {
 }
 
 #[test]
+fn simulate_takes_the_cheapest_step_of_the_accuracy_asked_for() {
+    let place = Place::new();
+    let run = |accuracy: &str| {
+        let options = ["small.toml", "--json", "--set", "record.every=0", "--accuracy", accuracy];
+        place.json("simulate", &options)
+    };
+    let (rough, fine) = (run("0.05"), run("1e-4"));
+    for (report, accuracy) in [(&rough, 0.05), (&fine, 1e-4)] {
+        assert!(report["chosen"]["error"].as_f64().unwrap() <= accuracy, "{report}");
+    }
+    assert!(rough["chosen"]["cost"].as_f64() < fine["chosen"]["cost"].as_f64());
+    // The same stretch of flow in more steps.
+    assert!(rough["steps"].as_u64() < fine["steps"].as_u64());
+    place.refuses("simulate", &["small.toml", "--accuracy", "1e-15"], &["at best", "ask for less"]);
+}
+
+#[test]
 fn trade_prices_flows_and_gradients() {
     let place = Place::new();
     let options = ["small.toml", "--steps", "4", "--rounds", "1", "--out", "prices", "--json"];
@@ -378,7 +395,7 @@ fn help_names_every_option() {
                 "--live",
             ],
         ),
-        ("simulate", &["--from", "--frame", "--steps", "--record"]),
+        ("simulate", &["--from", "--frame", "--steps", "--accuracy", "--record"]),
         (
             "import",
             &[

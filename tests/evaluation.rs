@@ -124,6 +124,21 @@ fn a_model_that_diverges_is_a_result_beside_the_others() {
 }
 
 #[test]
+fn circumstances_in_which_the_truth_diverges_are_left_out_and_named() {
+    let scene = small("physics-3d", &[]);
+    let exact = candidate(scene.clone(), true_values(&scene));
+    let plan = Plan { strengths: vec![0.5, 1e6], speeds: vec![1.0, 50.0], ..plan() };
+    let source = (&scene, Source::<3>::Scene);
+    let found = evaluate(source, vec![exact], plan, &mut || {}).unwrap();
+    assert_eq!((found.strengths.len(), found.machs.len()), (1, 1));
+    let report = found.report(Vec::new()).unwrap();
+    for circumstance in ["θ = 1000000: the run diverged", "velocities times 50: the run diverged"]
+    {
+        assert!(report.about.iter().any(|text| text.contains(circumstance)), "{:?}", report.about);
+    }
+}
+
+#[test]
 fn a_rotation_shows_a_law_that_prefers_an_axis() {
     let scene = small("physics-3d", &[]);
     let weights = |p: &[Parameter]| (0..p.len()).map(|k| (1.3 * k as f64).sin()).collect();

@@ -18,6 +18,7 @@ use whirls::flow::State;
 use whirls::recording::{self, Recorder, Recording};
 use whirls::run::{run_info, run_recorded};
 use whirls::statistics::conservation;
+use whirls::trade::{CALIBRATION, Choice, Trial, choose};
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -25,7 +26,7 @@ use whirls::{Error, Flow, Result, Scene};
 #[derive(Parser)]
 #[command(name = "simulate", version)]
 struct Arguments {
-    /// A shipped scene (inverse-3d, inverse-3d-forcing, inverse-2d) or a .toml file.
+    /// A shipped scene (inverse-3d, inverse-2d, node-3d, …) or a .toml file.
     #[arg(default_value = "inverse-3d")]
     scene: String,
     /// Go on from a frame of a recording instead of the scene's initial state.
@@ -37,6 +38,10 @@ struct Arguments {
     /// Steps to run [default: the scene's].
     #[arg(long)]
     steps: Option<u64>,
+    /// Take the cheapest step that keeps particles within so many smoothing lengths of a much finer run,
+    /// over twenty steps of the scene; --explain shows what was tried.
+    #[arg(long, value_name = "LENGTHS")]
+    accuracy: Option<f64>,
     /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing.
     #[arg(long, value_name = "PATH")]
     record: Option<PathBuf>,
@@ -54,7 +59,18 @@ struct Report {
     momentum_drift: f64,
     energy_drift: f64,
     bytes_per_particle: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    chosen: Option<Chosen>,
     recording: Option<PathBuf>,
+}
+
+/// The step that was chosen for the accuracy asked for.
+#[derive(Serialize)]
+struct Chosen {
+    step: &'static str,
+    dt: f64,
+    cost: f64,
+    error: f64,
 }
 
 fn main() -> ExitCode {
@@ -69,15 +85,23 @@ fn main() -> ExitCode {
 }
 
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let mut flow = match &arguments.from {
-        None => Flow::<D>::new(scene)?,
-        Some(path) => Flow::from_state(scene, &state_from(path, arguments.frame)?)?,
+    let start = match &arguments.from {
+        None => Flow::<D>::new(scene)?.state(),
+        Some(path) => state_from(path, arguments.frame)?,
     };
+    let own = scene;
+    let choice = arguments.accuracy.map(|accuracy| choose(scene, &start, accuracy)).transpose()?;
+    let scene = choice.as_ref().map_or(scene, |choice| &choice.scene);
+    if let Some(choice) = &choice {
+        describe_choice(choice, arguments.common.explain);
+    }
+    let mut flow = Flow::<D>::from_state(scene, &start)?;
     if arguments.common.explain {
         flow.start()?;
         return explain(&mut flow);
     }
-    let steps = arguments.steps.unwrap_or(scene.time.steps);
+    let steps = arguments.steps.unwrap_or(scene.time.steps) as f64 * own.dt() / scene.dt();
+    let steps = steps.round() as u64;
     let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
     let path = arguments.record.clone().unwrap_or(default);
     let path = (scene.record.every > 0).then_some(path);
@@ -109,10 +133,28 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         momentum_drift: drift.sum::<f64>().sqrt(),
         energy_drift: (after.total_energy - before.total_energy) / before.total_energy,
         bytes_per_particle: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
+        chosen: choice.map(|choice| {
+            let Trial { step, dt, cost, error } = choice.chosen;
+            Chosen { step: step.name(), dt, cost, error }
+        }),
         recording: path,
     };
     describe(&report);
     if arguments.common.json { say_json(&report) } else { Ok(()) }
+}
+
+fn describe_choice(choice: &Choice, explain: bool) {
+    let line = |trial: &Trial| {
+        let Trial { step, dt, cost, error } = trial;
+        let name = step.name();
+        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.1e}") };
+        format!("{name:15} dt {dt:.6}  cost {cost:6.3}  error {held}")
+    };
+    if explain {
+        say(format!("tried over {CALIBRATION} steps of the scene, cheapest first:"));
+        choice.trials.iter().for_each(|trial| say(format!("  {}", line(trial))));
+    }
+    say(format!("chosen: {}", line(&choice.chosen)));
 }
 
 fn describe(report: &Report) {

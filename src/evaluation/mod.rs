@@ -25,6 +25,7 @@ pub use symmetry::Symmetry;
 pub use tables::Summary;
 
 use crate::error::{Error, Result};
+use crate::flow::State;
 use crate::losses::sampling_floor;
 use crate::models::{ModelChoice, Parameters};
 use crate::scene::{Forcing, Learn, Scene};
@@ -164,6 +165,8 @@ pub struct Evaluation<const D: usize> {
     pub pressures: Vec<Pressure>,
     /// Tait's, where the truth is known to obey it.
     pub tait: Option<Vec<f64>>,
+    /// Circumstances in which the truth itself did not hold, and why: they are left out.
+    pub left_out: Vec<String>,
     /// The first realisation: the truth, then every candidate, to look at.
     pub courses: Vec<(String, Course<D>)>,
 }
@@ -172,7 +175,8 @@ pub struct Evaluation<const D: usize> {
 ///
 /// # Errors
 /// [`Error::Input`] where a candidate does not fit the truth or there are fewer than two realisations,
-/// [`Error::Diverged`] from a truth. A candidate that diverges is a result, and no error.
+/// [`Error::Diverged`] from a truth of the scene as it is. Other circumstances in which the truth diverges
+/// are left out, and a candidate that diverges is a result.
 pub fn evaluate<const D: usize>(
     (scene, source): (&Scene, Source<D>),
     candidates: Vec<Candidate>,
@@ -195,6 +199,7 @@ pub fn evaluate<const D: usize>(
         seen: (f64::NAN, f64::NAN),
         pressures: Vec::new(),
         tait: None,
+        left_out: Vec::new(),
         courses: Vec::new(),
     };
     let known = matches!(source, Source::Scene);
@@ -345,60 +350,87 @@ impl<const D: usize> Evaluation<D> {
     fn other_strengths(&mut self, tick: &mut dyn FnMut()) -> Result<()> {
         let Forcing::Deterministic { power, .. } = self.scene.forcing else { return Ok(()) };
         let after = self.after()?;
-        for &theta in &self.plan.strengths {
+        for theta in self.plan.strengths.clone() {
             let forcing = Forcing::Deterministic { theta, power };
-            let mut found = Circumstance { value: theta, power: Vec::new(), errors: Vec::new() };
-            for k in 0..self.plan.realisations {
+            let truth = |k: u64| {
                 let seed = self.scene.seed.wrapping_add(k);
                 let scene = Scene { seed, forcing: forcing.clone(), ..self.scene.clone() };
                 let truth = Truth::generate(&scene, (after, self.plan.horizons[1]))?;
-                self.meet(&mut found, (&scene, &truth), tick)?;
+                Ok((scene, truth))
+            };
+            let truths = (0..self.plan.realisations).map(truth).collect();
+            if let Some(found) = self.held(&format!("θ = {theta}"), truths)? {
+                let found = self.meet(theta, &found, tick)?;
+                self.strengths.push(found);
             }
-            self.strengths.push(found);
         }
         Ok(())
     }
 
     /// True states with all velocities scaled.
     fn other_speeds(&mut self, truths: &[Truth<D>], tick: &mut dyn FnMut()) -> Result<()> {
-        let scene = self.scene.clone();
-        for &factor in &self.plan.speeds {
-            let mut found = Circumstance { value: f64::NAN, power: Vec::new(), errors: Vec::new() };
-            let mut mach = 0.0;
-            for truth in truths {
+        for factor in self.plan.speeds.clone() {
+            let starts = truths.iter().map(|truth| {
                 let mut start = truth.states[0].clone();
                 start.velocities.iter_mut().for_each(|v| *v = *v * factor);
-                let squares: f64 = start.velocities.iter().map(|v| v.norm_squared()).sum();
-                let speed = (squares / start.velocities.len() as f64).sqrt();
-                mach += speed / scene.fluid.c / truths.len() as f64;
-                let truth = Truth::from_state(&scene, &start, self.plan.horizons[1])?;
-                self.meet(&mut found, (&scene, &truth), tick)?;
+                start
+            });
+            let starts: Vec<State<D>> = starts.collect();
+            let squares: f64 =
+                starts.iter().flat_map(|s| &s.velocities).map(|v| v.norm_squared()).sum();
+            let count: usize = starts.iter().map(|start| start.velocities.len()).sum();
+            let mach = (squares / count as f64).sqrt() / self.scene.fluid.c;
+            let truth = |start: &State<D>| {
+                let truth = Truth::from_state(&self.scene, start, self.plan.horizons[1])?;
+                Ok((self.scene.clone(), truth))
+            };
+            let truths = starts.iter().map(truth).collect();
+            if let Some(found) = self.held(&format!("velocities times {factor}"), truths)? {
+                let found = self.meet(mach, &found, tick)?;
+                self.machs.push(found);
             }
-            self.machs.push(Circumstance { value: mach, ..found });
         }
         Ok(())
     }
 
-    /// Lets every candidate go from a truth of other circumstances.
+    /// The truths of a circumstance, unless one of them diverged: that is remembered.
+    fn held(
+        &mut self,
+        circumstance: &str,
+        truths: Result<Vec<(Scene, Truth<D>)>>,
+    ) -> Result<Option<Vec<(Scene, Truth<D>)>>> {
+        match truths {
+            Ok(truths) => Ok(Some(truths)),
+            Err(error @ Error::Diverged { .. }) => {
+                self.left_out.push(format!("{circumstance}: {error}"));
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Lets every candidate go from truths of other circumstances, realisation by realisation.
     fn meet(
         &self,
-        found: &mut Circumstance,
-        (scene, truth): (&Scene, &Truth<D>),
+        value: f64,
+        truths: &[(Scene, Truth<D>)],
         tick: &mut dyn FnMut(),
-    ) -> Result<()> {
+    ) -> Result<Circumstance> {
         let steps = self.plan.horizons[1] as u64;
         let marks = Marks { steps, every: steps.max(1) };
-        let mut errors = Vec::new();
-        let observed = observations(scene, (self.learn()?, false), truth)?;
-        let last = observed.frames.last().map(|frame| &frame.field);
-        let power = last.map_or(f64::NAN, |field| square(field));
-        for candidate in &self.candidates {
-            let who = (scene, candidate);
-            errors.push(Course::of_candidate(who, truth, &observed, marks, tick)?.errors);
+        let mut found = Circumstance { value, power: Vec::new(), errors: Vec::new() };
+        for (scene, truth) in truths {
+            let observed = observations(scene, (self.learn()?, false), truth)?;
+            let last = observed.frames.last().map(|frame| &frame.field);
+            found.power.push(last.map_or(f64::NAN, |field| square(field)));
+            let mut errors = Vec::new();
+            for candidate in &self.candidates {
+                let who = (scene, candidate);
+                errors.push(Course::of_candidate(who, truth, &observed, marks, tick)?.errors);
+            }
+            found.errors.push(errors);
         }
-        found.power.push(power);
-        found.errors.push(errors);
-        Ok(())
+        Ok(found)
     }
 }
 

@@ -99,7 +99,7 @@ impl<const D: usize> Evaluation<D> {
     /// [`crate::Error::Input`] where densities of increments cannot be found.
     pub fn report(&self, facts: Vec<(String, String)>) -> crate::Result<Report> {
         let (plan, scene) = (&self.plan, &self.scene);
-        let about = vec![
+        let mut about = vec![
             format!(
                 "{} learned models are let go from states of a true flow of {} particles that they were \
                  not trained on, and followed for {} steps; they were trained over {}. Every line is \
@@ -115,10 +115,15 @@ impl<const D: usize> Evaluation<D> {
              particles. A model that diverges counts as worse than any number."
                 .to_owned(),
         ];
+        about.extend(
+            self.left_out
+                .iter()
+                .map(|why| format!("Left out, because the truth itself did not hold: {why}.")),
+        );
         let mut tables = vec![self.hierarchy(), self.horizons()];
         tables.extend([self.statistics(), self.symmetries()]);
         Ok(Report {
-            title: format!("Learned models of {}", scene.name),
+            title: format!("Learned models of turbulence: {}", scene.name),
             about,
             facts,
             tables,

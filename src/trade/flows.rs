@@ -149,7 +149,7 @@ fn price<const D: usize>(
 }
 
 /// A flow at its end.
-struct End<const D: usize> {
+pub(super) struct End<const D: usize> {
     state: State<D>,
     field: Vec<Vector<f64, D>>,
     energy: f64,
@@ -159,7 +159,7 @@ struct End<const D: usize> {
 }
 
 impl<const D: usize> End<D> {
-    fn of(scene: &Scene, state: &State<D>, steps: u64) -> Result<Self> {
+    pub(super) fn of(scene: &Scene, state: &State<D>, steps: u64) -> Result<Self> {
         let mut flow = Flow::from_state(scene, state)?;
         flow.start()?;
         let clock = Instant::now();
@@ -178,7 +178,11 @@ impl<const D: usize> End<D> {
         })
     }
 
-    fn errors(&self, scene: &Scene, (start, reference): (&State<D>, &Self)) -> FlowErrors {
+    pub(super) fn errors(
+        &self,
+        scene: &Scene,
+        (start, reference): (&State<D>, &Self),
+    ) -> FlowErrors {
         let space = PeriodicBox { length: scene.fluid.box_length };
         let count = self.state.positions.len() as f64;
         let places = self.state.positions.iter().zip(&reference.state.positions);

@@ -5,10 +5,12 @@
 //! in turns with the scene's own setting, and given as multiples of its: whatever else slows the machine
 //! down slows both.
 
+mod choose;
 mod flows;
 mod gradients;
 mod tables;
 
+pub use choose::{CALIBRATION, Choice, Trial, choose};
 pub use flows::{FlowErrors, FlowPrice, price_flows};
 pub use gradients::{GradientPrice, price_gradients};
 pub use tables::report;

@@ -61,7 +61,7 @@ fn flow_table(flows: &[FlowPrice]) -> Table {
             _ if lost => "does not hold",
             Effect::None => "speed only",
             Effect::Accuracy => "accuracy",
-            Effect::Other => "another discretisation",
+            Effect::Other => "the equations",
         };
         Row {
             name: name(setting.knob, &setting.value),
