@@ -184,6 +184,7 @@ fn recorded_particles_are_a_truth_too() {
         &["learned.mcap", "--truth", "flow.mcap", "--steps", "30"],
         &["61 frames", "41 frames"],
     );
+    place.refuses("evaluate", &["learned.mcap", "--steps", "3"], &["the 4 steps", "found 3"]);
     place.refuses("evaluate", &["flow.mcap"], &["a search that was recorded"]);
     let piece = |first| {
         let scene = Scene::open(&place.path("small.toml").display().to_string(), &[]).unwrap();

@@ -126,7 +126,7 @@ fn run<const D: usize>(
     let facts = facts(arguments, scene);
     let record = !arguments.no_record;
     let files = write_evaluation(&evaluation, facts, (&arguments.out, record))?;
-    describe(&evaluation, &files);
+    describe(&files);
     if arguments.json { say_json(&summary(&evaluation, &files)) } else { Ok(()) }
 }
 
@@ -163,9 +163,8 @@ fn facts(arguments: &Arguments, scene: &Scene) -> Vec<(String, String)> {
     ]
 }
 
-fn describe<const D: usize>(evaluation: &Evaluation<D>, files: &EvaluationFiles) {
+fn describe(files: &EvaluationFiles) {
     files.report.tables.iter().for_each(|table| say(table.plain_text()));
-    let _ = evaluation;
     say(format!("report in {}", files.html.display()));
     if let Some(recording) = &files.recording {
         say(format!("recorded in {}", recording.display()));

@@ -113,8 +113,8 @@ pub struct Trial {
     pub symmetry: Symmetry,
 }
 
-/// Mean errors over the two horizons of a [`Plan`] under other circumstances: realisation by
-/// realisation.
+/// Errors under other circumstances, realisation by realisation, as far as the longer horizon of a
+/// [`Plan`].
 #[derive(Clone, Debug)]
 pub struct Circumstance {
     /// The strength, or the Mach number: root-mean-square speed over `c` at the start.
@@ -157,7 +157,7 @@ pub struct Evaluation<const D: usize> {
     pub strengths: Vec<Circumstance>,
     /// By Mach number.
     pub machs: Vec<Circumstance>,
-    /// Densities of the equation of state, and Tait's pressure there where the truth obeys it.
+    /// Densities at which equations of state are compared.
     pub densities: Vec<f64>,
     /// The lowest and the highest density over the training's horizon.
     pub seen: (f64, f64),
@@ -174,7 +174,8 @@ pub struct Evaluation<const D: usize> {
 /// Measures everything; `tick` is called behind every step of a learned flow.
 ///
 /// # Errors
-/// [`Error::Input`] where a candidate does not fit the truth or there are fewer than two realisations,
+/// [`Error::Input`] where a candidate does not fit the truth, there are fewer than two realisations or
+/// fewer steps than the training had,
 /// [`Error::Diverged`] from a truth of the scene as it is. Other circumstances in which the truth diverges
 /// are left out, and a candidate that diverges is a result.
 pub fn evaluate<const D: usize>(
@@ -184,6 +185,11 @@ pub fn evaluate<const D: usize>(
     tick: &mut dyn FnMut(),
 ) -> Result<Evaluation<D>> {
     candidates.iter().try_for_each(|candidate| candidate.must_fit(scene))?;
+    if plan.marks.steps < plan.horizons[0] as u64 {
+        let expected = format!("at least the {} steps of the training", plan.horizons[0]);
+        let remedy = "follow the flows longer";
+        return Err(Error::input("an evaluation", expected, plan.marks.steps, remedy));
+    }
     let mut evaluation = Evaluation {
         scene: scene.clone(),
         plan,
