@@ -102,7 +102,7 @@ mod tests {
     fn the_cheapest_step_that_is_accurate_enough_is_chosen() {
         let (scene, state) = small();
         let choices =
-            [1e-1, 1e-3, 1e-5].map(|accuracy| (accuracy, choose(&scene, &state, accuracy)));
+            [1e-1, 1e-3, 1e-4].map(|accuracy| (accuracy, choose(&scene, &state, accuracy)));
         let mut last = 0.0;
         for (accuracy, choice) in choices {
             let choice = choice.unwrap_or_else(|error| panic!("{error}"));
