@@ -139,6 +139,18 @@ fn circumstances_in_which_the_truth_diverges_are_left_out_and_named() {
 }
 
 #[test]
+fn models_of_one_kind_are_told_apart_by_file_folder_or_number() {
+    let scene = small("physics-3d", &[]);
+    let one = candidate(scene.clone(), true_values(&scene));
+    let other = candidate(small("nn-sum-3d", &[]), |p| vec![0.0; p.len()]);
+    let mut all = vec![one.clone(), one.clone(), other, one.clone(), one];
+    let paths = ["a/m.mcap", "b/m.mcap", "c/n.mcap", "d/truth.mcap", "b/m.mcap"];
+    Candidate::name_apart(&mut all, &paths);
+    let names: Vec<&str> = all.iter().map(|candidate| candidate.name.as_str()).collect();
+    assert_eq!(names, ["m", "b-m", "nn-sum", "d-truth", "m-5"]);
+}
+
+#[test]
 fn a_rotation_shows_a_law_that_prefers_an_axis() {
     let scene = small("physics-3d", &[]);
     let weights = |p: &[Parameter]| (0..p.len()).map(|k| (1.3 * k as f64).sin()).collect();

@@ -53,15 +53,23 @@ impl Candidate {
         Ok(Self { name, scene, parameters, values, last, seconds: None })
     }
 
-    /// Gives candidates of one kind the names of their files.
+    /// Gives candidates of one kind the names of their files, with folder or number where those are
+    /// alike, too, or are the name of a flow that has a meaning in recordings.
     pub fn name_apart(candidates: &mut [Self], paths: &[impl AsRef<Path>]) {
         let kinds: Vec<String> = candidates.iter().map(|c| c.name.clone()).collect();
-        for (candidate, path) in candidates.iter_mut().zip(paths) {
-            let alike = kinds.iter().filter(|kind| **kind == candidate.name).count();
-            let stem = path.as_ref().file_stem();
-            if let (true, Some(stem)) = (alike > 1, stem) {
-                candidate.name = stem.to_string_lossy().into_owned();
+        let mut taken = vec!["truth".to_owned(), "learned".to_owned()];
+        for (k, (candidate, path)) in candidates.iter_mut().zip(paths).enumerate() {
+            if kinds.iter().filter(|kind| **kind == candidate.name).count() > 1 {
+                let part = |part: Option<&std::ffi::OsStr>| {
+                    part.map(|part| part.to_string_lossy().into_owned()).unwrap_or_default()
+                };
+                let stem = part(path.as_ref().file_stem());
+                let folder = part(path.as_ref().parent().and_then(Path::file_name));
+                let names = [stem.clone(), format!("{folder}-{stem}"), format!("{stem}-{}", k + 1)];
+                let free = names.into_iter().find(|name| !taken.contains(name));
+                candidate.name = free.unwrap_or_else(|| format!("model-{}", k + 1));
             }
+            taken.push(candidate.name.clone());
         }
     }
 

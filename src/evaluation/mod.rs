@@ -1,9 +1,9 @@
 //! Does a learned model know the flow? Its errors by horizon, by strength of the stirring and by Mach
 //! number, its statistics and its symmetries, each beside what a perfect model would score.
 //!
-//! A model is let go from true states that it was not trained on and followed to a full eddy time,
-//! twenty times as long as it was trained. Everything is repeated for several *realisations* (seeds of
-//! the flow; the first is that of the training), and reported as median and range. What two independent
+//! A model is let go from true states and followed to a full eddy time, twenty times as long as it was
+//! trained. Everything is repeated for several *realisations* (seeds of the flow; the first is that of the
+//! training, whose first steps it has seen), and reported as median and range. What two independent
 //! realisations of the truth differ by is the *floor*: no model that knows the statistics, but not these
 //! very particles, can come closer than that.
 //!
@@ -26,12 +26,11 @@ pub use tables::Summary;
 
 use crate::error::{Error, Result};
 use crate::flow::State;
-use crate::losses::sampling_floor;
 use crate::models::{ModelChoice, Parameters};
-use crate::scene::{Forcing, Learn, Scene};
+use crate::scene::{Forcing, Learn, Scene, Times};
 use crate::state::tait;
 use crate::systems::loss::Observations;
-use crate::truth::Truth;
+use crate::truth::{Truth, statistical_floor};
 use crate::vector::Vector;
 
 /// What is measured.
@@ -302,17 +301,12 @@ impl<const D: usize> Evaluation<D> {
 
     /// What independent truths differ by.
     fn floors(&mut self, (truths, observed): (&[Truth<D>], &[Observations<D>])) -> Result<()> {
-        let nodes = self.learn()?.increments.nodes;
+        let all: Vec<&Truth<D>> = truths.iter().collect();
+        let mut learn = self.learn()?.clone();
+        (learn.loss.kl, learn.increments.times) = (1.0, Times::Last);
         for step in 1..=self.plan.marks.steps as usize {
-            let increments: Vec<_> = truths.iter().map(|truth| truth.increments(step)).collect();
-            let mut floor = 0.0;
-            for axis in 0..D {
-                let one = |all: &Vec<Vector<f64, D>>| all.iter().map(|du| du[axis]).collect();
-                let components: Vec<Vec<f64>> = increments.iter().map(one).collect();
-                let components: Vec<&[f64]> = components.iter().map(Vec::as_slice).collect();
-                floor += sampling_floor(&components, nodes)?;
-            }
-            self.floor.push(floor);
+            learn.frames = step;
+            self.floor.push(statistical_floor(&all, &self.scene, &learn)?);
         }
         for step in 0..self.plan.marks.steps as usize {
             let fields: Vec<_> = observed.iter().map(|o| &o.frames[step].field).collect();

@@ -101,9 +101,9 @@ impl<const D: usize> Evaluation<D> {
         let (plan, scene) = (&self.plan, &self.scene);
         let mut about = vec![
             format!(
-                "{} learned models are let go from states of a true flow of {} particles that they were \
-                 not trained on, and followed for {} steps; they were trained over {}. Every line is \
-                 the median of {} realisations (other seeds of the truth), every band their range.",
+                "{} learned models are let go from states of a true flow of {} particles and followed for \
+                 {} steps; they were trained over {}. Every line is the median of {} realisations (seeds \
+                 of the truth, the first the evaluation's own), every band their range.",
                 self.candidates.len(),
                 scene.particles(),
                 plan.marks.steps,
@@ -191,7 +191,7 @@ impl<const D: usize> Evaluation<D> {
         };
         let Plan { marks, strengths, horizons, .. } = &self.plan;
         let caption = format!(
-            "The field loss over time is the median of fifteen horizons from {} to {} steps, over θ that              of θ = {strengths:?} at {} steps. The paper's numbers are those of its Table 1 and read              off its Fig. 5; they stand where flow and training loss are the paper's.",
+            "The field loss over time is the median of fifteen horizons from {} to {} steps, over θ that              of θ = {strengths:?} at {} steps. The paper's numbers are its final losses, and medians read              off its Fig. 5; they stand where flow and training loss are the paper's.",
             horizons[0], marks.steps, horizons[0],
         );
         let mut table = Table {

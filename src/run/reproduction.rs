@@ -281,7 +281,8 @@ impl Reproduction {
             title: "A hierarchy of learned models of turbulence".to_owned(),
             about: vec![
                 "Six models, from a network that knows nothing to the physics itself, learn three \
-                 times, and are let go on flows that they have not seen."
+                 times, and are let go: the first of three realisations goes on from the training's own, \
+                 the other two are new."
                     .to_owned(),
             ],
             facts: self.facts(),
