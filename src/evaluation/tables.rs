@@ -191,7 +191,9 @@ impl<const D: usize> Evaluation<D> {
         };
         let Plan { marks, strengths, horizons, .. } = &self.plan;
         let caption = format!(
-            "The field loss over time is the median of fifteen horizons from {} to {} steps, over θ that              of θ = {strengths:?} at {} steps. The paper's numbers are its final losses, and medians read              off its Fig. 5; they stand where flow and training loss are the paper's.",
+            "The field loss over time is the median of fifteen horizons from {} to {} steps, over θ that \
+             of θ = {strengths:?} at {} steps. The paper's numbers are its final losses, and medians read \
+             off its Fig. 5; they stand where flow and training loss are the paper's.",
             horizons[0], marks.steps, horizons[0],
         );
         let mut table = Table {
