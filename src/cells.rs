@@ -76,15 +76,18 @@ impl<const D: usize> Cells<D> {
             2 => &[0, 1],
             _ => &[0, 1, n - 1],
         };
-        let mut around = Around { ranges: [(0, 0); MOST_RANGES], count: 0 };
+        let mut around = Around::NONE;
         let mut choice = [0; D];
         loop {
             let mut cell = [0; D];
+            // Cells that are few hold images of one another.
+            let mut seam = n <= 3;
             for axis in 1..D {
                 let along = coordinates[axis] + offsets[choice[axis]];
                 cell[axis] = if along < n { along } else { along - n };
+                seam |= cell[axis].abs_diff(coordinates[axis]) > 1;
             }
-            self.along_row(self.index(cell), coordinates[0], &mut around);
+            self.along_row(self.index(cell), (coordinates[0], seam), &mut around);
             // Count up in base `offsets.len()`, the first axis left out.
             let mut axis = 1;
             while axis < D && choice[axis] + 1 == offsets.len() {
@@ -100,18 +103,19 @@ impl<const D: usize> Cells<D> {
 
     /// The cells next to number `x` in the row of cells that starts at `row`.
     #[inline(always)]
-    fn along_row(&self, row: usize, x: usize, around: &mut Around) {
+    fn along_row(&self, row: usize, (x, seam): (usize, bool), around: &mut Around) {
         let n = self.per_axis;
+        let mut push = |from: usize, to: usize, seam: bool| {
+            around.push(self.start[row + from], self.start[row + to], seam);
+        };
         if n <= 3 {
-            around.push(self.start[row], self.start[row + n]);
-            return;
+            return push(0, n, true);
         }
-        let (from, to) = (x.saturating_sub(1), (x + 2).min(n));
-        around.push(self.start[row + from], self.start[row + to]);
+        push(x.saturating_sub(1), (x + 2).min(n), seam);
         if x == 0 {
-            around.push(self.start[row + n - 1], self.start[row + n]);
+            push(n - 1, n, true);
         } else if x + 1 == n {
-            around.push(self.start[row], self.start[row + 1]);
+            push(0, 1, true);
         }
     }
 
@@ -124,23 +128,56 @@ impl<const D: usize> Cells<D> {
 /// Nine rows of cells in 3D, each cut in two at the periodic seam at worst.
 const MOST_RANGES: usize = 18;
 
+/// Consecutive slots near a place.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Range {
+    /// The first.
+    pub from: u32,
+    /// One behind the last.
+    pub to: u32,
+    /// Whether they are near across the seam of the box, so that differences need the nearest image.
+    pub seam: bool,
+}
+
+impl Range {
+    /// How many slots.
+    pub fn len(&self) -> usize {
+        (self.to - self.from) as usize
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.from == self.to
+    }
+}
+
 /// What [`Cells::around`] finds.
 #[derive(Clone, Copy, Debug)]
 pub struct Around {
-    ranges: [(u32, u32); MOST_RANGES],
+    ranges: [Range; MOST_RANGES],
     count: usize,
 }
 
 impl Around {
+    /// Nothing.
+    pub const NONE: Self =
+        Self { ranges: [Range { from: 0, to: 0, seam: false }; MOST_RANGES], count: 0 };
+
     #[inline(always)]
-    fn push(&mut self, from: u32, to: u32) {
-        self.ranges[self.count] = (from, to);
+    fn push(&mut self, from: u32, to: u32, seam: bool) {
+        self.ranges[self.count] = Range { from, to, seam };
         self.count += 1;
     }
 
     /// The ranges of slots.
     #[inline(always)]
-    pub fn ranges(&self) -> &[(u32, u32)] {
+    pub fn ranges(&self) -> &[Range] {
         &self.ranges[..self.count]
+    }
+
+    /// How many slots in all.
+    #[inline(always)]
+    pub fn candidates(&self) -> usize {
+        self.ranges().iter().map(Range::len).sum()
     }
 }

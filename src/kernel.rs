@@ -59,7 +59,7 @@ impl Kernel for CubicSpline {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let q1 = q.max(T::of(1.0));
         let beyond = outer * (q1 + 2.0) * 0.75 / (q1 * q1 * q1);
-        T::select_less(q, T::of(1.0), T::of(2.25) / q.max(T::of(SMALLEST_Q)), beyond)
+        T::select_less(q, T::of(1.0), T::of(2.25) / q.max(T::smallest(SMALLEST_Q)), beyond)
     }
 }
 
@@ -88,7 +88,7 @@ impl Kernel for WendlandC2 {
     #[inline(always)]
     fn curvature<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
-        u * u * 7.5 / q.max(T::of(SMALLEST_Q))
+        u * u * 7.5 / q.max(T::smallest(SMALLEST_Q))
     }
 }
 

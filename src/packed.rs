@@ -1,6 +1,7 @@
 //! The packed form in which particles meet their pairs.
 
 use crate::scalar::Lanes;
+use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
 /// A particle as its pairs see it: one cache line.
@@ -22,6 +23,50 @@ impl Packed {
     /// exactly zero there, near enough that no square overflows.
     pub const NOBODY: Self =
         Self { position: [1e150; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
+}
+
+/// A particle as its pairs see it in single precision: half a cache line.
+///
+/// Coordinates are fixed-point numbers, in steps of `L·2⁻³²` (1.5e-9 in a box of 2π): a difference of two
+/// of them wraps around as the box does, so that it is that of the nearest images, exactly.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub struct PackedSingle {
+    /// Position, in steps.
+    pub position: [i32; 3],
+    /// Density `ρ`; negative in nobody.
+    pub density: f32,
+    /// The velocity that the force sees.
+    pub velocity: [f32; 3],
+    /// What the model says it brings to its pairs.
+    pub stress: f32,
+}
+
+impl PackedSingle {
+    /// Fixed-point steps along a side of the box.
+    pub const STEPS: f64 = 4_294_967_296.0;
+
+    /// As [`Packed::NOBODY`]: in a closed box no place is far away, so a negative density says it.
+    pub const NOBODY: Self =
+        Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], stress: 0.0 };
+
+    /// A particle rounded.
+    #[inline(always)]
+    pub fn new(particle: &Packed, space: PeriodicBox) -> Self {
+        let steps = Self::STEPS / space.length;
+        let mut single = Self {
+            density: particle.density as f32,
+            stress: particle.stress as f32,
+            ..Self::NOBODY
+        };
+        for axis in 0..3 {
+            // Modulo 2³², as the box is modulo L.
+            single.position[axis] =
+                (particle.position[axis] * steps).round_ties_even() as i64 as i32;
+            single.velocity[axis] = particle.velocity[axis] as f32;
+        }
+        single
+    }
 }
 
 /// A particle's sensitivities as its pairs see them: one column of eight parameters per number.

@@ -1,7 +1,7 @@
 //! Eight neighbours at once: lists of neighbours, and how every pair loop reads them.
 
-use crate::packed::Packed;
-use crate::scalar::{Lanes, Scalar, WIDTH};
+use crate::packed::{Packed, PackedAdjoint, PackedSingle};
+use crate::scalar::{Precision, Scalar, WIDTH, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -17,6 +17,8 @@ pub struct Chunk {
     start: Vec<u32>,
     /// Slots, filled up to whole lanes with the slot of nobody, `N`.
     index: Vec<u32>,
+    /// How much of `index` is filled, while lists are built.
+    filled: usize,
 }
 
 impl Chunk {
@@ -44,14 +46,31 @@ impl Chunk {
     /// Forgets all lists.
     pub fn clear(&mut self) {
         self.start.clear();
-        self.index.clear();
         self.start.push(0);
+        self.filled = 0;
+    }
+
+    /// Begins the list of a slot, of at most so many candidates.
+    #[inline(always)]
+    pub fn open(&mut self, candidates: usize) {
+        let room = self.filled + candidates + 2 * WIDTH;
+        if self.index.len() < room {
+            self.index.resize(room, 0);
+        }
     }
 
     /// Ends the list of a slot, with the slot of nobody, `nobody`, up to whole lanes.
+    #[inline(always)]
     pub fn close(&mut self, nobody: usize) {
-        self.index.resize(self.index.len().next_multiple_of(WIDTH), nobody as u32);
-        self.start.push(self.index.len() as u32);
+        let whole = self.filled.next_multiple_of(WIDTH);
+        self.index[self.filled..whole].fill(nobody as u32);
+        self.filled = whole;
+        self.start.push(whole as u32);
+    }
+
+    /// Ends all lists.
+    pub fn finish(&mut self) {
+        self.index.truncate(self.filled);
     }
 
     /// Number of eights in all lists.
@@ -79,28 +98,42 @@ impl Chunk {
         Some(self.start[k] as usize + found)
     }
 
-    /// Appends those of the eight slots from `first` on, below `end`, that are in reach.
+    /// Appends those of the eight slots from `first` on, below `end`, that are in reach; within what
+    /// [`Self::open`] has made room for.
     #[inline(always)]
-    pub fn append(&mut self, r2: Lanes, (slot, first, end): (usize, usize, usize), reach2: f64) {
-        let length = self.index.len();
-        self.index.resize(length + WIDTH, 0);
-        let room = &mut self.index[length..];
-        let mut kept = 0;
-        // Without a branch: every candidate is written, only a neighbour moves the place on.
-        for (lane, r2) in r2.to_array().into_iter().enumerate() {
-            let other = first + lane;
-            room[kept] = other as u32;
-            kept += usize::from(r2 < reach2 && other < end && other != slot);
+    pub fn append<W: Wide>(
+        &mut self,
+        r2: W,
+        (slot, first, end): (usize, usize, usize),
+        reach2: f64,
+    ) {
+        let inside = u8::MAX >> (WIDTH - (end - first).min(WIDTH));
+        let own = slot.wrapping_sub(first);
+        let own = if own < WIDTH { 1 << own } else { 0 };
+        let mask = r2.less_than(reach2) & inside & !own;
+        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
+            W::compress(mask, first as u32, kept);
         }
-        self.index.truncate(length + kept);
+        self.filled += mask.count_ones() as usize;
     }
+}
+
+/// All particles in cell order, as their pairs see them, nobody behind the last.
+#[derive(Clone, Copy, Debug)]
+pub struct Lines<'a> {
+    /// In doubles.
+    pub double: &'a [Packed],
+    /// In singles; empty in double precision.
+    pub single: &'a [PackedSingle],
+    /// Which of the two pairs read.
+    pub precision: Precision,
 }
 
 /// One chunk of particles with all that they can touch: what a pair loop runs over.
 #[derive(Clone, Copy, Debug)]
 pub struct Hood<'a> {
-    /// All particles in cell order, nobody behind the last.
-    pub packed: &'a [Packed],
+    /// All particles.
+    pub lines: Lines<'a>,
     /// The chunk.
     pub chunk: &'a Chunk,
     /// The box.
@@ -131,78 +164,88 @@ impl<T: Scalar> Pair<T> {
 /// Below this a direction is none: its numerator is smaller still.
 const SMALLEST_DISTANCE: f64 = 1e-150;
 
+/// What is read of one particle and eight neighbours.
+#[derive(Clone, Copy, Debug)]
+pub struct Reading<W, const D: usize> {
+    /// `rᵢⱼ`, minimum image.
+    pub separation: Vector<W, D>,
+    /// `vᵢⱼ`.
+    pub velocity: Vector<W, D>,
+    /// `ρᵢ`.
+    pub rho_i: f64,
+    /// `ρⱼ`.
+    pub density: W,
+    /// `Aᵢ`.
+    pub stress_i: f64,
+    /// `Aⱼ`.
+    pub stress: W,
+}
+
 /// One particle against eight neighbours.
 #[derive(Clone, Copy, Debug)]
-pub struct Batch<const D: usize> {
+pub struct Batch<W, const D: usize> {
     /// `rᵢⱼ`, minimum image.
-    pub separation: Vector<Lanes, D>,
+    pub separation: Vector<W, D>,
     /// `vᵢⱼ`.
-    pub velocity: Vector<Lanes, D>,
+    pub velocity: Vector<W, D>,
     /// What a central pair law sees.
-    pub pair: Pair<Lanes>,
+    pub pair: Pair<W>,
     /// `Aᵢ`.
-    pub stress_i: Lanes,
+    pub stress_i: W,
     /// `Aⱼ`.
-    pub stress_j: Lanes,
+    pub stress_j: W,
 }
 
-/// One number of each of eight particles.
+/// Eight of many.
 #[inline(always)]
-pub fn gather<P>(packed: &[P], slots: &[u32; WIDTH], field: impl Fn(&P) -> f64) -> Lanes {
-    let mut lanes = [0.0; WIDTH];
-    for (lane, &slot) in lanes.iter_mut().zip(slots) {
-        *lane = field(&packed[slot as usize]);
-    }
-    Lanes::new(lanes)
+pub fn pick<'a, P>(all: &'a [P], slots: &[u32; WIDTH]) -> [&'a P; WIDTH] {
+    // Written out: the closure of an array's `map` is not inlined into vectorised functions.
+    let [a, b, c, d, e, f, g, h] = *slots;
+    let at = |slot: u32| &all[slot as usize];
+    [at(a), at(b), at(c), at(d), at(e), at(f), at(g), at(h)]
 }
 
-/// `rᵢⱼ` of particle `here` and eight others.
+/// `∂L/∂F` and `∂L/∂ρ` of eight particles.
 #[inline(always)]
-pub fn separation<const D: usize>(
-    packed: &[Packed],
-    here: &Packed,
+pub fn adjoints<W: Wide>(adjoint: &[PackedAdjoint], slots: &[u32; WIDTH]) -> [W::Double; 4] {
+    W::adjoints(pick(adjoint, slots))
+}
+
+/// `rᵢⱼ` of the particle in slot `here` and eight others.
+#[inline(always)]
+pub fn separation<W: Wide, const D: usize>(
+    lines: Lines<'_>,
+    here: usize,
     slots: &[u32; WIDTH],
     space: PeriodicBox,
-) -> Vector<Lanes, D> {
-    let mut r = Vector::zero();
-    for axis in 0..D {
-        r[axis] = Lanes::of(here.position[axis]) - gather(packed, slots, |p| p.position[axis]);
-    }
-    space.minimum_image(r)
+) -> Vector<W, D> {
+    let lines = W::lines(lines);
+    W::separation(&lines[here], pick(lines, slots), space)
 }
 
-impl<const D: usize> Batch<D> {
+impl<W: Wide, const D: usize> Batch<W, D> {
     /// `rᵢⱼ/r`, zero where the particles meet.
     #[inline(always)]
-    pub fn direction(&self) -> Vector<Lanes, D> {
-        self.separation * (Lanes::of(1.0) / self.pair.r2.sqrt().max(Lanes::of(SMALLEST_DISTANCE)))
+    pub fn direction(&self) -> Vector<W, D> {
+        self.separation * (W::of(1.0) / self.pair.r2.sqrt().max(W::smallest(SMALLEST_DISTANCE)))
     }
 
-    /// Particle `here` against the particles in `slots`.
+    /// The particle in slot `here` against the particles in `slots`.
     #[inline(always)]
-    pub fn read(
-        packed: &[Packed],
-        here: &Packed,
-        slots: &[u32; WIDTH],
-        space: PeriodicBox,
-    ) -> Self {
-        let separation = separation(packed, here, slots, space);
-        let mut velocity = Vector::zero();
-        for axis in 0..D {
-            let there = gather(packed, slots, |p| p.velocity[axis]);
-            velocity[axis] = Lanes::of(here.velocity[axis]) - there;
-        }
+    pub fn read(lines: Lines<'_>, here: usize, slots: &[u32; WIDTH], space: PeriodicBox) -> Self {
+        let lines = W::lines(lines);
+        let read = W::read::<D>(&lines[here], pick(lines, slots), space);
         Self {
-            separation,
-            velocity,
+            separation: read.separation,
+            velocity: read.velocity,
             pair: Pair {
-                r2: separation.norm_squared(),
-                approach: velocity.dot(separation),
-                rho_i: Lanes::of(here.density),
-                rho_j: gather(packed, slots, |p| p.density),
+                r2: read.separation.norm_squared(),
+                approach: read.velocity.dot(read.separation),
+                rho_i: W::of(read.rho_i),
+                rho_j: read.density,
             },
-            stress_i: Lanes::of(here.stress),
-            stress_j: gather(packed, slots, |p| p.stress),
+            stress_i: W::of(read.stress_i),
+            stress_j: read.stress,
         }
     }
 }

@@ -5,8 +5,8 @@ use super::particles::{
     Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud,
 };
 use crate::models::{Columns, Model, PairShare, Passed};
-use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{CHUNK, Chunk, Hood};
+use crate::packed::PackedAdjoint;
+use crate::pairs::{CHUNK, Chunk, Hood, Lines};
 use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -20,13 +20,13 @@ pub struct Law<const D: usize>(pub Box<dyn Model<D>>);
 pub fn model_accelerations<const D: usize>(
     neighbours: &Neighbours<D>,
     (model, rooms): (&dyn Model<D>, &Rooms),
-    packed: &[Packed],
+    lines: Lines<'_>,
     acceleration: &mut [Vector<f64, D>],
 ) {
     let space = neighbours.space;
     let chunks = neighbours.chunks.par_iter().zip(acceleration.par_chunks_mut(CHUNK));
     chunks.for_each(|(chunk, out)| {
-        let hood = Hood { packed, chunk, space };
+        let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.accelerations(hood, room, out));
     });
 }
@@ -37,8 +37,8 @@ pub fn accelerate<const D: usize>(
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let Cloud { packed, acceleration, .. } = &mut *cloud;
-    model_accelerations(&neighbours, (&*law.0, &rooms), packed, acceleration);
+    let (lines, acceleration) = cloud.lines_and_acceleration();
+    model_accelerations(&neighbours, (&*law.0, &rooms), lines, acceleration);
 }
 
 /// System: writes the accelerations back to the particles.
@@ -64,13 +64,13 @@ pub fn accelerate_tangent<const D: usize>(
 ) {
     let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
     let SensitivityCloud { blocks, coupling, stress_slopes, weight_shares } = &mut *sensitivities;
-    let packed = &cloud.packed;
+    let lines = cloud.lines();
     let network = model.network().filter(|_| model.has_force_network());
     let count = network.map_or(0, |network| network.weights.len());
     weight_shares.resize(cloud.len() * D * count, 0.0);
     let shares = weight_shares.par_chunks_mut((CHUNK * D * count).max(1));
     neighbours.chunks.par_iter().zip(shares).for_each(|(chunk, shares)| {
-        let hood = Hood { packed, chunk, space };
+        let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.weight_shares(hood, room, shares));
     });
     for block in blocks {
@@ -83,7 +83,7 @@ pub fn accelerate_tangent<const D: usize>(
         };
         let chunks = neighbours.chunks.par_iter().zip(block.acceleration.par_chunks_mut(CHUNK));
         chunks.for_each(|(chunk, out)| {
-            let hood = Hood { packed, chunk, space };
+            let hood = Hood { lines, chunk, space };
             rooms.enter(model.network(), |room| model.tangents(hood, columns, room, out));
         });
     }
@@ -120,7 +120,7 @@ pub fn accelerate_pullback<const D: usize>(
     let adjoint = &mut *adjoint;
     let AdjointCloud { packed: lines, position, velocity, scalars, parameters, shares, .. } =
         adjoint;
-    let (model, rooms, packed, space) = (&*law.0, &*rooms, &cloud.packed, neighbours.space);
+    let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
     let one_way = model.passes_to_neighbours();
     shares.resize_with(neighbours.chunks.len(), Vec::new);
     let forces: &[PackedAdjoint] = lines;
@@ -132,7 +132,7 @@ pub fn accelerate_pullback<const D: usize>(
         let into = Passed { position, velocity, scalars, neighbours };
         rooms.enter(model.network(), |room| {
             room.clear();
-            model.pull_back(Hood { packed, chunk, space }, forces, room, into);
+            model.pull_back(Hood { lines: cloud.lines(), chunk, space }, forces, room, into);
             room.sums()
         })
     };

@@ -3,39 +3,35 @@
 use super::acceleration::Law;
 use super::neighbours::Neighbours;
 use super::particles::{AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud};
-use crate::models::{Medium, Model, Parameter, Room};
+use crate::models::{Change, Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
-use crate::pairs::{CHUNK, Chunk, gather, separation};
-use crate::scalar::{Lanes, Scalar, WIDTH};
+use crate::pairs::{CHUNK, Hood, Lines, adjoints, separation};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
 use crate::sensitivity::Coupling;
-use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
-use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles.
 struct DensityPass<'a, const D: usize> {
-    packed: &'a [Packed],
-    chunk: &'a Chunk,
-    space: PeriodicBox,
+    hood: Hood<'a>,
     medium: &'a Medium<D>,
     density: &'a mut [f64],
 }
 
-impl<const D: usize> NullaryFnOnce for DensityPass<'_, D> {
+impl<const D: usize> Pass for DensityPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
+        let Hood { lines, chunk, space } = self.hood;
         let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
         for (k, density) in self.density.iter_mut().enumerate() {
-            let here = &self.packed[self.chunk.first + k];
-            let mut sum = Lanes::ZERO;
-            for slots in self.chunk.neighbours(k) {
-                let r = separation::<D>(self.packed, here, slots, self.space);
-                sum += smoothing.value(r.norm_squared().sqrt());
+            let mut sum = W::Double::of(0.0);
+            for slots in chunk.neighbours(k) {
+                let r = separation::<W, D>(lines, chunk.first + k, slots, space);
+                sum += smoothing.value(r.norm_squared().sqrt()).widen();
             }
             *density = self.medium.mass * (own + sum.sum());
         }
@@ -48,17 +44,13 @@ pub fn sum_density<const D: usize>(
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let Cloud { packed, density, .. } = &mut *cloud;
+    let (lines, density) = cloud.lines_and_density();
     neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).for_each(|(chunk, density)| {
-        let pass = DensityPass {
-            packed: &*packed,
-            chunk,
-            space: neighbours.space,
-            medium: law.0.medium(),
-            density,
-        };
-        Arch::new().dispatch(pass);
+        let hood = Hood { lines, chunk, space: neighbours.space };
+        let pass = DensityPass { hood, medium: law.0.medium(), density };
+        dispatch_in(lines.precision, pass);
     });
+    let Cloud { packed, singles, density, .. } = &mut *cloud;
     let count = density.len();
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {
@@ -67,6 +59,9 @@ pub fn sum_density<const D: usize>(
             rooms.enter(law.0.network(), |room| find_stress(&*law.0, lines, room));
         }
     });
+    for (single, line) in singles.iter_mut().zip(&packed[..count]) {
+        (single.density, single.stress) = (line.density as f32, line.stress as f32);
+    }
 }
 
 /// Densities of up to eight particles, one where there is none.
@@ -101,45 +96,45 @@ pub fn write_density<const D: usize>(mut densities: Query<&mut Density>, cloud: 
 
 /// `δρᵢ = Σⱼ m G rᵢⱼ·(δrᵢ − δrⱼ)` over one chunk of particles and one block of parameters.
 struct DensityTangent<'a, const D: usize> {
-    packed: &'a [Packed],
-    chunk: &'a Chunk,
-    space: PeriodicBox,
+    hood: Hood<'a>,
     medium: &'a Medium<D>,
     sensitivity: &'a [PackedSensitivity<D>],
     coupling: Coupling,
     density: &'a mut [Lanes],
 }
 
-impl<const D: usize> NullaryFnOnce for DensityTangent<'_, D> {
+impl<const D: usize> Pass for DensityTangent<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let smoothing = &self.medium.smoothing;
+    fn run<W: Wide>(self) {
+        let Hood { lines, chunk, space } = self.hood;
+        let Medium { smoothing, mass, .. } = self.medium;
         for (k, density) in self.density.iter_mut().enumerate() {
-            let slot = self.chunk.first + k;
-            let here = &self.packed[slot];
-            let own = &self.sensitivity[slot];
-            let mut sum = Lanes::ZERO;
-            for slots in self.chunk.neighbours(k) {
-                let r = separation::<D>(self.packed, here, slots, self.space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.medium.mass;
-                let pulls: Vector<Lanes, D> = r * pull;
-                let pulls = pulls.map(Lanes::to_array);
+            let slot = chunk.first + k;
+            let own = Change::<W::Double, D>::load(&self.sensitivity[slot]).position;
+            let mut sum = W::Double::of(0.0);
+            for slots in chunk.neighbours(k) {
+                let r = separation::<W, D>(lines, slot, slots, space);
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
+                let mut pulls = [Lanes::ZERO; D];
+                for axis in 0..D {
+                    pulls[axis] = (r[axis] * pull).store();
+                }
                 for (lane, &j) in slots.iter().enumerate() {
                     let Some(other) = self.sensitivity.get(j as usize) else {
                         break;
                     };
                     for axis in 0..D {
-                        let apart = match self.coupling {
-                            Coupling::Full => own.position[axis] - other.position[axis],
-                            Coupling::Local => own.position[axis],
-                        };
-                        sum += apart * pulls[axis][lane];
+                        let mut apart = own[axis];
+                        if self.coupling == Coupling::Full {
+                            apart -= W::Double::load(&other.position[axis]);
+                        }
+                        sum += apart * pulls[axis].lane(lane);
                     }
                 }
             }
-            *density = sum;
+            *density = sum.store();
         }
     }
 }
@@ -156,13 +151,13 @@ pub fn sum_density_tangent<const D: usize>(
     let SensitivityCloud { blocks, coupling, stress_slopes, .. } = &mut *sensitivities;
     stress_slopes.resize(cloud.len(), 0.0);
     for block in blocks {
-        let (packed, sensitivity) = (&cloud.packed, &block.packed);
+        let (lines, sensitivity) = (cloud.lines(), &block.packed);
         let (space, coupling) = (neighbours.space, *coupling);
         let chunks = neighbours.chunks.par_iter().zip(block.density.par_chunks_mut(CHUNK));
         chunks.for_each(|(chunk, density)| {
-            let pass =
-                DensityTangent { packed, chunk, space, medium, sensitivity, coupling, density };
-            Arch::new().dispatch(pass);
+            let hood = Hood { lines, chunk, space };
+            let pass = DensityTangent { hood, medium, sensitivity, coupling, density };
+            dispatch_in(lines.precision, pass);
         });
         let SensitivityBlock { packed, density, directions, weights, .. } = block;
         let lines = packed.par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
@@ -222,28 +217,31 @@ impl<const D: usize> StressTangent<'_, D> {
 
 /// `∂L/∂rᵢ += Σⱼ m G rᵢⱼ (∂L/∂ρᵢ + ∂L/∂ρⱼ)` over one chunk of particles.
 struct DensityPullback<'a, const D: usize> {
-    packed: &'a [Packed],
+    hood: Hood<'a>,
     adjoint: &'a [PackedAdjoint],
-    chunk: &'a Chunk,
-    space: PeriodicBox,
     medium: &'a Medium<D>,
     position: &'a mut [Vector<f64, D>],
 }
 
-impl<const D: usize> NullaryFnOnce for DensityPullback<'_, D> {
+impl<const D: usize> Pass for DensityPullback<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let smoothing = &self.medium.smoothing;
+    fn run<W: Wide>(self) {
+        let Hood { lines, chunk, space } = self.hood;
+        let Medium { smoothing, mass, .. } = self.medium;
         for (k, position) in self.position.iter_mut().enumerate() {
-            let slot = self.chunk.first + k;
-            let mut sum = Vector::<Lanes, D>::zero();
-            for slots in self.chunk.neighbours(k) {
-                let r = separation::<D>(self.packed, &self.packed[slot], slots, self.space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * self.medium.mass;
-                let both = gather(self.adjoint, slots, |a| a.density) + self.adjoint[slot].density;
-                sum += r * (pull * both);
+            let slot = chunk.first + k;
+            let own = self.adjoint[slot].density;
+            let mut sum = Vector::<W::Double, D>::zero();
+            for slots in chunk.neighbours(k) {
+                let r = separation::<W, D>(lines, slot, slots, space);
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
+                let [.., density] = adjoints::<W>(self.adjoint, slots);
+                let both = pull.widen() * (density + own);
+                for axis in 0..D {
+                    sum[axis] += r[axis].widen() * both;
+                }
             }
             for axis in 0..D {
                 position[axis] += sum[axis].sum();
@@ -273,7 +271,7 @@ pub fn sum_density_pullback<const D: usize>(
     for sum in sums {
         parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
     }
-    pull_density_back(&neighbours, model.medium(), (&cloud.packed, lines), position);
+    pull_density_back(&neighbours, model.medium(), (cloud.lines(), lines), position);
 }
 
 /// `(∂L/∂A, ∂L/∂ρ)` through the forces, and the particles.
@@ -317,13 +315,12 @@ fn pull_stress_back<const D: usize>(
 pub fn pull_density_back<const D: usize>(
     neighbours: &Neighbours<D>,
     medium: &Medium<D>,
-    (packed, adjoint): (&[Packed], &[PackedAdjoint]),
+    (lines, adjoint): (Lines<'_>, &[PackedAdjoint]),
     position: &mut [Vector<f64, D>],
 ) {
-    let space = neighbours.space;
     let chunks = neighbours.chunks.par_iter().zip(position.par_chunks_mut(CHUNK));
     chunks.for_each(|(chunk, position)| {
-        let pass = DensityPullback { packed, adjoint, chunk, space, medium, position };
-        Arch::new().dispatch(pass);
+        let hood = Hood { lines, chunk, space: neighbours.space };
+        dispatch_in(lines.precision, DensityPullback { hood, adjoint, medium, position });
     });
 }

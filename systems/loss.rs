@@ -209,7 +209,7 @@ fn pull_back_through_density<const D: usize>(
     let line = |&density: &f64| PackedAdjoint { density, ..PackedAdjoint::ZERO };
     let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
     lines.push(PackedAdjoint::ZERO);
-    let state = (cloud.packed.as_slice(), lines.as_slice());
+    let state = (cloud.lines(), lines.as_slice());
     pull_density_back(neighbours, medium, state, &mut adjoint.position);
 }
 

@@ -7,14 +7,13 @@
 
 use super::particles::{Acceleration, Cloud, Position, Velocity};
 use super::verlet::Integrator;
-use crate::cells::Cells;
+use crate::cells::{Around, Cells};
 use crate::packed::Packed;
 pub use crate::pairs::{CHUNK, Chunk};
-use crate::scalar::{Lanes, Scalar, WIDTH};
+use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
-use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -28,34 +27,58 @@ struct ListPass<'a, const D: usize> {
     reach2: f64,
 }
 
-impl<const D: usize> NullaryFnOnce for ListPass<'_, D> {
+impl<const D: usize> Pass for ListPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { chunk, columns, cells, space, reach2 } = self;
         let count = columns[0].len() - WIDTH;
         chunk.clear();
+        let (mut around, mut cell) = (Around::NONE, None);
         for slot in chunk.first..(chunk.first + CHUNK).min(count) {
             let mut here = Vector::<f64, D>::zero();
             for axis in 0..D {
                 here[axis] = columns[axis][slot];
             }
-            for &(from, to) in cells.around(cells.coordinates(here)).ranges() {
-                for first in (from as usize..to as usize).step_by(WIDTH) {
-                    let mut apart = Vector::<Lanes, D>::zero();
-                    for axis in 0..D {
-                        let mut there = [0.0; WIDTH];
-                        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
-                        apart[axis] = Lanes::of(here[axis]) - Lanes::new(there);
-                    }
-                    let r2 = space.minimum_image(apart).norm_squared();
-                    chunk.append(r2, (slot, first, to as usize), reach2);
+            // Particles of one cell follow each other.
+            let coordinates = cells.coordinates(here);
+            if cell != Some(coordinates) {
+                (around, cell) = (cells.around(coordinates), Some(coordinates));
+            }
+            chunk.open(around.candidates());
+            for range in around.ranges() {
+                let end = range.to as usize;
+                for first in (range.from as usize..end).step_by(WIDTH) {
+                    let apart = apart::<W::Double, D>(columns, here, first);
+                    let r2 = if range.seam {
+                        space.minimum_image(apart).norm_squared()
+                    } else {
+                        apart.norm_squared()
+                    };
+                    chunk.append(r2, (slot, first, end), reach2);
                 }
             }
             chunk.close(count);
         }
+        chunk.finish();
     }
+}
+
+/// Differences of a place and the eight from slot `first` on, without images.
+#[inline(always)]
+pub(crate) fn apart<W: Wide, const D: usize>(
+    columns: &[Vec<f64>; D],
+    here: Vector<f64, D>,
+    first: usize,
+) -> Vector<W, D> {
+    let mut apart = Vector::zero();
+    for axis in 0..D {
+        let mut there = [0.0; WIDTH];
+        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
+        apart[axis] = W::of(here[axis]) - W::load(&Lanes::new(there));
+    }
+    apart
 }
 
 /// The neighbour list of a World.
@@ -183,7 +206,7 @@ impl<const D: usize> Neighbours<D> {
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             chunk.first = number * CHUNK;
             let reach2 = reach * reach;
-            Arch::new().dispatch(ListPass { chunk, columns, cells, space, reach2 });
+            dispatch(ListPass { chunk, columns, cells, space, reach2 });
         });
         self.chunks = Arc::new(chunks);
     }
@@ -234,4 +257,5 @@ pub fn pack_velocities<const PREDICTED: bool, const D: usize>(
             packed[slot as usize].velocity = seen.to_3d();
         }
     }
+    cloud.round(integrator.space);
 }

@@ -1,9 +1,11 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
 use crate::models::{Learned, PairShare, Room};
-use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
-use crate::scalar::Lanes;
+use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
+use crate::pairs::Lines;
+use crate::scalar::{Lanes, Precision};
 use crate::sensitivity::Coupling;
+use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -89,6 +91,10 @@ pub struct AdjointCloud<const D: usize> {
 pub struct Cloud<const D: usize> {
     /// One line per slot, and [`Packed::NOBODY`] behind the last.
     pub packed: Vec<Packed>,
+    /// The same in singles, where the precision is mixed.
+    pub singles: Vec<PackedSingle>,
+    /// What pairs are evaluated in.
+    pub precision: Precision,
     /// `F` per slot.
     pub acceleration: Vec<Vector<f64, D>>,
     /// Density per slot, before it is written into the lines.
@@ -112,9 +118,41 @@ impl<const D: usize> Cloud<D> {
     pub fn resize(&mut self, count: usize) {
         self.packed.clear();
         self.packed.resize(count + 1, Packed::NOBODY);
+        if self.precision == Precision::Mixed {
+            self.singles.clear();
+            self.singles.resize(count + 1, PackedSingle::NOBODY);
+        }
         self.acceleration.resize(count, Vector::zero());
         self.density.resize(count, 0.0);
         self.slot_of_row.resize(count, 0);
+    }
+
+    /// Rounds the lines for the pairs of mixed precision; nothing to do in doubles.
+    pub fn round(&mut self, space: PeriodicBox) {
+        if self.precision == Precision::Mixed {
+            let count = self.len();
+            self.singles.resize(count + 1, PackedSingle::NOBODY);
+            for (single, line) in self.singles.iter_mut().zip(&self.packed[..count]) {
+                *single = PackedSingle::new(line, space);
+            }
+        }
+    }
+
+    /// The lines as pairs read them.
+    pub fn lines(&self) -> Lines<'_> {
+        Lines { double: &self.packed, single: &self.singles, precision: self.precision }
+    }
+
+    /// The lines, and the densities to write.
+    pub fn lines_and_density(&mut self) -> (Lines<'_>, &mut [f64]) {
+        let Self { packed, singles, precision, density, .. } = self;
+        (Lines { double: packed, single: singles, precision: *precision }, density)
+    }
+
+    /// The lines, and the accelerations to write.
+    pub fn lines_and_acceleration(&mut self) -> (Lines<'_>, &mut [Vector<f64, D>]) {
+        let Self { packed, singles, precision, acceleration, .. } = self;
+        (Lines { double: packed, single: singles, precision: *precision }, acceleration)
     }
 
     /// The particles without the filler behind them.

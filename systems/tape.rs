@@ -113,6 +113,7 @@ pub fn rewind_evaluation<const D: usize>(
     cloud.packed = evaluation.packed;
     cloud.slot_of_row = evaluation.slot_of_row;
     neighbours.chunks = evaluation.chunks;
+    cloud.round(neighbours.space);
     clock.evaluated = evaluation.step;
     adjoint.packed.clear();
     adjoint.packed.resize(count + 1, PackedAdjoint::ZERO);

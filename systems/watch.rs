@@ -45,13 +45,23 @@ pub fn watch<const D: usize>(
             if let Some(rank) = finite.iter().position(|finite| !finite) {
                 look.see_broken(rank, row);
             }
-            let square = v.0.norm_squared();
-            look.energy += 0.5 * square;
-            look.see_speed(law.0.sound_speed(rho.0) + square.sqrt(), row);
+            look.see(v.0.norm_squared(), rho.0);
             row += 1;
         }
     }
-    let courant = look.speed.0 * integrator.dt / law.0.smoothing().h;
+    let per_speed = integrator.dt / law.0.smoothing().h;
+    let mut courant = look.most_speed(|rho| law.0.sound_speed(rho)) * per_speed;
+    if courant > limits.courant {
+        // A bound is broken: look for the particle.
+        let mut row = 0;
+        for (_, v, _, rho) in particles.contiguous_iter().into_iter().flatten() {
+            for (v, rho) in v.iter().zip(rho) {
+                look.see_speed(law.0.sound_speed(rho.0) + v.0.norm(), row);
+                row += 1;
+            }
+        }
+        courant = look.speed.0 * per_speed;
+    }
     let verdict = look.verdict(*limits, courant, row.max(1) as f64);
     failure.0 = verdict.map(|(quantity, found, remedy)| Error::Diverged {
         step: clock.step,
@@ -68,6 +78,10 @@ struct Look {
     /// Rank of the broken quantity in [`BROKEN`], and whose.
     not_finite: Option<(usize, usize)>,
     energy: f64,
+    /// Largest `|v|²`.
+    square: f64,
+    /// Smallest and largest density.
+    density: Option<(f64, f64)>,
     /// Largest signal speed, and whose.
     speed: (f64, usize),
 }
@@ -82,6 +96,19 @@ impl Look {
         if self.not_finite.is_none_or(|(known, _)| rank < known) {
             self.not_finite = Some((rank, row));
         }
+    }
+
+    fn see(&mut self, square: f64, rho: f64) {
+        self.energy += 0.5 * square;
+        self.square = self.square.max(square);
+        let (low, high) = self.density.unwrap_or((rho, rho));
+        self.density = Some((low.min(rho), high.max(rho)));
+    }
+
+    /// A bound of the largest signal speed: the fastest particle in the fastest sound.
+    fn most_speed(&self, sound_speed: impl Fn(f64) -> f64) -> f64 {
+        let (low, high) = self.density.unwrap_or_default();
+        sound_speed(low).max(sound_speed(high)) + self.square.sqrt()
     }
 
     fn see_speed(&mut self, speed: f64, row: usize) {

@@ -44,7 +44,7 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
     world.insert_resource(Clock::default());
     world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
-    world.insert_resource(Cloud::<D>::default());
+    world.insert_resource(Cloud::<D> { precision: scene.precision, ..Cloud::default() });
     world.insert_resource(Rooms::default());
     world.insert_resource(scene.limits);
     world.insert_resource(Failure::default());

@@ -5,11 +5,11 @@ use super::{SquareSum, StateAdjoint};
 use crate::cells::Cells;
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::pairs::{Chunk, gather};
-use crate::scalar::{Lanes, Scalar, WIDTH};
+use crate::pairs::{Chunk, pick};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
+use crate::systems::neighbours::apart;
 use crate::vector::Vector;
-use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Nodes per parallel task: fixed, so that sums have the same bits for any number of threads.
@@ -33,10 +33,24 @@ pub struct Points<'a, K, const D: usize> {
 /// Points with their coordinates as columns, to be searched eight at a time.
 struct Search<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
+    /// Particles with their volumes `m/ρ` in place of the stress, and nobody, without a volume.
+    lines: Vec<Packed>,
     /// Coordinates in cell order, with [`WIDTH`] of nobody's behind them.
     columns: [Vec<f64>; D],
-    /// Volumes `m/ρ`, likewise.
-    volumes: Vec<f64>,
+}
+
+/// Eight particles as a place sees them.
+struct Seen<W, const D: usize> {
+    /// `x − rⱼ`.
+    apart: Vector<W, D>,
+    /// `vⱼ`.
+    velocity: Vector<W, D>,
+    /// `1/ρⱼ`.
+    inverse_density: W,
+    /// `(m/ρⱼ) W`.
+    weight: W,
+    /// `(m/ρⱼ) G`.
+    pull: W,
 }
 
 impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
@@ -45,97 +59,149 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
             let nobody = [Packed::NOBODY.position[axis]; WIDTH];
             points.packed.iter().map(|p| p.position[axis]).chain(nobody).collect()
         };
-        let volumes = points.packed.iter().map(|p| points.mass / p.density);
-        let volumes = volumes.chain([0.0; WIDTH]).collect();
-        Self { points, columns: std::array::from_fn(column), volumes }
+        let lines = points.packed.iter().map(|p| Packed { stress: points.mass / p.density, ..*p });
+        let lines = lines.chain([Packed::NOBODY]).collect();
+        Self { points, lines, columns: std::array::from_fn(column) }
     }
 
     /// The slots of every particle in reach of the place `x`, with nobody's up to whole lanes.
     #[inline(always)]
-    fn find<'b>(&self, x: Vector<f64, D>, near: &'b mut Chunk) -> &'b [[u32; WIDTH]] {
+    fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Chunk) -> &'b [[u32; WIDTH]] {
         let Points { cells, space, smoothing, .. } = self.points;
         let reach2 = smoothing.support() * smoothing.support();
         near.clear();
-        for &(from, to) in cells.around(cells.coordinates(x)).ranges() {
-            for first in (from as usize..to as usize).step_by(WIDTH) {
-                let mut apart = Vector::<Lanes, D>::zero();
-                for axis in 0..D {
-                    let mut there = [0.0; WIDTH];
-                    there.copy_from_slice(&self.columns[axis][first..first + WIDTH]);
-                    apart[axis] = Lanes::of(x[axis]) - Lanes::new(there);
-                }
-                let r2 = space.minimum_image(apart).norm_squared();
+        let around = cells.around(cells.coordinates(x));
+        near.open(around.candidates());
+        for range in around.ranges() {
+            let end = range.to as usize;
+            for first in (range.from as usize..end).step_by(WIDTH) {
+                let apart = space.minimum_image(apart::<W, D>(&self.columns, x, first));
                 // No particle is left out.
-                near.append(r2, (usize::MAX, first, to as usize), reach2);
+                near.append(apart.norm_squared(), (usize::MAX, first, end), reach2);
             }
         }
         near.close(self.points.packed.len());
         near.neighbours(0)
     }
 
-    /// `(x − r, |x − r|)` of eight particles from the place `x`.
+    /// Eight particles from the place `x`.
     #[inline(always)]
-    fn apart(&self, x: Vector<f64, D>, slots: &[u32; WIDTH]) -> (Vector<Lanes, D>, Lanes) {
-        let mut apart = Vector::<Lanes, D>::zero();
-        for axis in 0..D {
-            apart[axis] = Lanes::of(x[axis]) - gather(&self.columns[axis], slots, |x| *x);
+    fn see<W: Wide>(&self, here: Vector<f64, D>, slots: &[u32; WIDTH]) -> Seen<W::Double, D> {
+        let [x, y, z, u, v, w, density, volume] = W::fields(pick(&self.lines, slots));
+        let (mut apart, mut velocity) = (Vector::zero(), Vector::zero());
+        for (axis, (place, speed)) in [(x, u), (y, v), (z, w)].into_iter().enumerate().take(D) {
+            apart[axis] = W::Double::of(here[axis]) - place;
+            velocity[axis] = speed;
         }
         let apart = self.points.space.minimum_image(apart);
-        (apart, apart.norm_squared().sqrt())
+        let (r, smoothing) = (apart.norm_squared().sqrt(), self.points.smoothing);
+        Seen {
+            apart,
+            velocity,
+            inverse_density: W::Double::of(1.0) / density,
+            weight: volume * smoothing.value(r),
+            pull: volume * smoothing.gradient(r),
+        }
     }
 
     /// `V(x) = Σⱼ (m/ρⱼ) vⱼ W(|x − rⱼ|; h)`, Eq. (13).
     #[inline(always)]
-    fn velocity(&self, x: Vector<f64, D>, near: &mut Chunk) -> Vector<f64, D> {
-        let Points { packed, smoothing, .. } = self.points;
-        let mut sum = Vector::zero();
-        for slots in self.find(x, near) {
-            let (_, r) = self.apart(x, slots);
-            let weights = gather(&self.volumes, slots, |volume| *volume) * smoothing.value(r);
-            for (lane, &slot) in slots.iter().enumerate() {
-                // Nobody comes last.
-                let Some(p) = packed.get(slot as usize) else { break };
-                sum += Vector::from_3d(p.velocity) * weights.lane(lane);
-            }
+    fn velocity<W: Wide>(&self, x: Vector<f64, D>, near: &mut Chunk) -> Vector<f64, D> {
+        let mut sum = Vector::<W::Double, D>::zero();
+        for slots in self.find::<W>(x, near) {
+            let seen = self.see::<W>(x, slots);
+            sum += seen.velocity * seen.weight;
         }
-        sum
+        sum_lanes(&sum)
     }
 
     /// `V(x)`, and into `columns[b·D + axis]` its derivative by the parameters of block `b`:
     /// `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
     #[inline(always)]
-    fn velocity_tangent(
+    fn velocity_tangent<W: Wide>(
         &self,
         x: Vector<f64, D>,
         blocks: &[&[PackedSensitivity<D>]],
         (columns, near): (&mut [Lanes], &mut Chunk),
     ) -> Vector<f64, D> {
-        let Points { packed, smoothing, .. } = self.points;
-        let mut sum = Vector::zero();
+        let mut sum = Vector::<W::Double, D>::zero();
         columns.fill(Lanes::ZERO);
         // A loop: the closure of a visitor is not inlined into vectorised functions.
-        for slots in self.find(x, near) {
-            let (apart, r) = self.apart(x, slots);
-            let volume = gather(&self.volumes, slots, |volume| *volume);
-            let (weights, pulls) = (volume * smoothing.value(r), volume * smoothing.gradient(r));
-            for (lane, &slot) in slots.iter().enumerate() {
-                let Some(p) = packed.get(slot as usize) else { break };
-                let (weight, pull) = (weights.lane(lane), pulls.lane(lane));
-                sum += Vector::from_3d(p.velocity) * weight;
-                for (b, block) in blocks.iter().enumerate() {
-                    let change = &block[slot as usize];
-                    let mut fade = change.density * (weight / p.density);
-                    for axis in 0..D {
-                        fade += change.position[axis] * (pull * apart[axis].lane(lane));
-                    }
-                    for axis in 0..D {
-                        columns[b * D + axis] +=
-                            change.velocity[axis] * weight - fade * p.velocity[axis];
-                    }
-                }
+        for slots in self.find::<W>(x, near) {
+            let seen = self.see::<W>(x, slots);
+            sum += seen.velocity * seen.weight;
+            let factors = Factors::new(&seen);
+            for (b, block) in blocks.iter().enumerate() {
+                let column = &mut columns[b * D..(b + 1) * D];
+                add_columns::<W::Double, D>(&factors, (block, slots), column);
             }
         }
-        sum
+        sum_lanes(&sum)
+    }
+}
+
+/// The sum over the lanes of every component.
+#[inline(always)]
+fn sum_lanes<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<f64, D> {
+    let mut sum = Vector::zero();
+    for axis in 0..D {
+        sum[axis] = vector[axis].sum();
+    }
+    sum
+}
+
+/// What the derivative by one of eight particles is made of, in memory.
+struct Factors<const D: usize> {
+    weight: Lanes,
+    velocity: [Lanes; D],
+    /// `(m/ρⱼ) W/ρⱼ`.
+    by_density: Lanes,
+    /// `(m/ρⱼ) G (x − rⱼ)`.
+    by_position: [Lanes; D],
+}
+
+impl<const D: usize> Factors<D> {
+    #[inline(always)]
+    fn new<W: Wide>(seen: &Seen<W, D>) -> Self {
+        let mut factors = Self {
+            weight: seen.weight.store(),
+            velocity: [Lanes::ZERO; D],
+            by_density: (seen.weight * seen.inverse_density).store(),
+            by_position: [Lanes::ZERO; D],
+        };
+        for axis in 0..D {
+            factors.velocity[axis] = seen.velocity[axis].store();
+            factors.by_position[axis] = (seen.apart[axis] * seen.pull).store();
+        }
+        factors
+    }
+}
+
+/// Adds what eight particles give to the derivatives by one block of parameters.
+#[inline(always)]
+fn add_columns<W: Wide, const D: usize>(
+    factors: &Factors<D>,
+    (block, slots): (&[PackedSensitivity<D>], &[u32; WIDTH]),
+    columns: &mut [Lanes],
+) {
+    let mut sums = Vector::<W, D>::zero();
+    for axis in 0..D {
+        sums[axis] = W::load(&columns[axis]);
+    }
+    for (lane, &slot) in slots.iter().enumerate() {
+        // Nobody comes last.
+        let Some(change) = block.get(slot as usize) else { break };
+        let mut fade = W::load(&change.density) * factors.by_density.lane(lane);
+        for axis in 0..D {
+            fade += W::load(&change.position[axis]) * factors.by_position[axis].lane(lane);
+        }
+        for axis in 0..D {
+            let moved = W::load(&change.velocity[axis]) * factors.weight.lane(lane);
+            sums[axis] += moved - fade * factors.velocity[axis].lane(lane);
+        }
+    }
+    for axis in 0..D {
+        columns[axis] = sums[axis].store();
     }
 }
 
@@ -147,14 +213,14 @@ struct FieldPass<'a, K, const D: usize> {
     values: &'a mut [Vector<f64, D>],
 }
 
-impl<K: Kernel, const D: usize> NullaryFnOnce for FieldPass<'_, K, D> {
+impl<K: Kernel, const D: usize> Pass for FieldPass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let mut near = Chunk::default();
         for (k, value) in self.values.iter_mut().enumerate() {
-            *value = self.search.velocity(self.mesh.node(self.first + k), &mut near);
+            *value = self.search.velocity::<W>(self.mesh.node(self.first + k), &mut near);
         }
     }
 }
@@ -167,7 +233,7 @@ pub fn field<K: Kernel, const D: usize>(
     let search = &Search::new(points);
     let mut nodes = vec![Vector::zero(); mesh.len()];
     nodes.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, values)| {
-        Arch::new().dispatch(FieldPass { search, mesh, first: chunk * CHUNK, values });
+        dispatch(FieldPass { search, mesh, first: chunk * CHUNK, values });
     });
     nodes
 }
@@ -182,18 +248,18 @@ struct LossPass<'a, K, const D: usize> {
     weight: f64,
 }
 
-impl<K: Kernel, const D: usize> NullaryFnOnce for LossPass<'_, K, D> {
+impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
     type Output = SquareSum;
 
     #[inline(always)]
-    fn call(self) -> SquareSum {
+    fn run<W: Wide>(self) -> SquareSum {
         let Self { search, mesh, blocks, first, truth, weight } = self;
         let mut sum = SquareSum::new(blocks.len());
         let mut columns = vec![Lanes::ZERO; blocks.len() * D];
         let mut near = Chunk::default();
         for (k, expected) in truth.iter().enumerate() {
             let (x, room) = (mesh.node(first + k), (&mut columns[..], &mut near));
-            let difference = search.velocity_tangent(x, blocks, room) - *expected;
+            let difference = search.velocity_tangent::<W>(x, blocks, room) - *expected;
             for axis in 0..D {
                 sum.add(weight, difference[axis], |b| columns[b * D + axis]);
             }
@@ -216,7 +282,7 @@ pub fn field_loss<K: Kernel, const D: usize>(
     let search = &Search::new(points);
     let part = |(chunk, truth): (usize, &[Vector<f64, D>])| {
         let first = chunk * CHUNK;
-        Arch::new().dispatch(LossPass { search, mesh, blocks, first, truth, weight })
+        dispatch(LossPass { search, mesh, blocks, first, truth, weight })
     };
     let parts: Vec<SquareSum> = truth.par_chunks(CHUNK).enumerate().map(part).collect();
     let mut sum = SquareSum::new(blocks.len());
@@ -245,7 +311,7 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
     let chunks = columns.zip(points.packed.par_chunks(CHUNK));
     chunks.for_each(|(((position, velocity), density), particles)| {
         let into = (position, velocity, density);
-        Arch::new().dispatch(GatherPass { points, mesh, nodes: &nodes, particles, into });
+        dispatch(GatherPass { points, mesh, nodes: &nodes, particles, into });
     });
     adjoint
 }
@@ -259,15 +325,15 @@ struct GatherPass<'a, K, const D: usize> {
     into: (&'a mut [Vector<f64, D>], &'a mut [Vector<f64, D>], &'a mut [f64]),
 }
 
-impl<K: Kernel, const D: usize> NullaryFnOnce for GatherPass<'_, K, D> {
+impl<K: Kernel, const D: usize> Pass for GatherPass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { points, mesh, nodes, particles, into: (position, velocity, density) } = self;
         let mut near = Nearby::new();
         for (k, particle) in particles.iter().enumerate() {
-            let taken = Self::gather((points, mesh, nodes), particle, &mut near);
+            let taken = Self::gather::<W>((points, mesh, nodes), particle, &mut near);
             (position[k], velocity[k], density[k]) = taken;
         }
     }
@@ -276,34 +342,35 @@ impl<K: Kernel, const D: usize> NullaryFnOnce for GatherPass<'_, K, D> {
 impl<K: Kernel, const D: usize> GatherPass<'_, K, D> {
     /// What one particle takes.
     #[inline(always)]
-    fn gather(
+    fn gather<W: Wide>(
         (points, mesh, nodes): (&Points<'_, K, D>, &Mesh<D>, &[Vector<f64, D>]),
         particle: &Packed,
         near: &mut Nearby<D>,
     ) -> (Vector<f64, D>, Vector<f64, D>, f64) {
-        let (mut position, mut velocity, mut density) = (Vector::zero(), Vector::zero(), 0.0);
+        let mut position = Vector::<W, D>::zero();
+        let (mut velocity, mut density) = (position, W::of(0.0));
         let Points { smoothing, mass, .. } = points;
-        let v = Vector::<f64, D>::from_3d(particle.velocity);
         let volume = mass / particle.density;
         mesh.around(Vector::from_3d(particle.position), smoothing.support(), near);
         for (number, eight) in near.nodes.as_chunks::<WIDTH>().0.iter().enumerate() {
-            let mut apart = Vector::<Lanes, D>::zero();
+            let (mut apart, mut cotangent) = (Vector::<W, D>::zero(), Vector::<W, D>::zero());
+            let mut along = W::of(0.0);
             for axis in 0..D {
-                apart[axis] = Lanes::new(near.apart[axis].as_chunks().0[number]);
-            }
-            let distance = apart.norm_squared().sqrt();
-            let weights = smoothing.value(distance) * volume;
-            let pulls = smoothing.gradient(distance) * volume;
-            for (lane, &node) in eight.iter().enumerate() {
-                if distance.lane(lane) < smoothing.support() {
-                    let (cotangent, weight) = (nodes[node], weights.lane(lane));
-                    let along = v.dot(cotangent);
-                    velocity += cotangent * weight;
-                    position -= apart.map(|apart| apart.lane(lane)) * (pulls.lane(lane) * along);
-                    density -= weight * along / particle.density;
+                apart[axis] = W::load(&Lanes::new(near.apart[axis].as_chunks().0[number]));
+                let mut there = Lanes::ZERO;
+                for (lane, &node) in eight.iter().enumerate() {
+                    there.set_lane(lane, nodes[node][axis]);
                 }
+                cotangent[axis] = W::load(&there);
+                along += cotangent[axis] * particle.velocity[axis];
             }
+            // Zero for nodes out of reach.
+            let distance = apart.norm_squared().sqrt();
+            let weight = smoothing.value(distance) * volume;
+            velocity += cotangent * weight;
+            position -= apart * (smoothing.gradient(distance) * volume * along);
+            density -= weight * along;
         }
-        (position, velocity, density)
+        (sum_lanes(&position), sum_lanes(&velocity), density.sum() / particle.density)
     }
 }

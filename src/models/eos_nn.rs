@@ -1,14 +1,14 @@
 //! A learned equation of state, Eq. (6).
 
-use super::physics::pull_back_fluid;
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, StressSlope,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Slope,
+    StressSlope,
 };
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Scalar, Wide};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -99,7 +99,7 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
 }
 
 impl<const D: usize> PairLaw<D> for EosNn<D> {
-    type Slope = CentralSlope<D>;
+    type Slope<W: Wide> = CentralSlope<W, D>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -107,22 +107,22 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
     }
 
     #[inline(always)]
-    fn force(&self, pairs: &Batch<D>, _: &mut Room) -> Vector<Lanes, D> {
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
         self.medium.force(pairs)
     }
 
     #[inline(always)]
-    fn slope(&self, pairs: &Batch<D>, _: &mut Room) -> CentralSlope<D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
         self.medium.slope(pairs)
     }
 
     #[inline(always)]
-    fn pullback(
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
-        room: &mut Room,
-    ) -> PairCotangent<D> {
-        pull_back_fluid(&self.medium, pairs, force, room)
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
+        _: &mut Room,
+    ) -> PairCotangent<W, D> {
+        self.medium.slope(pairs).pullback(force)
     }
 }

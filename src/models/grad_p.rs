@@ -7,7 +7,7 @@ use super::{
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Wide};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -56,27 +56,27 @@ impl<const D: usize> GradP<D> {
 
     /// `S NN` in place of `Aᵢ + Aⱼ`.
     #[inline(always)]
-    fn stresses(&self, pairs: &Batch<D>, room: &mut Room) -> Lanes {
+    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
         if self.antisymmetric {
-            room.input[0] = pairs.pair.r2.sqrt() / self.units.length;
+            room.input[0] = (pairs.pair.r2.sqrt() / self.units.length).store();
         } else {
             for axis in 0..D {
-                room.input[axis] = pairs.separation[axis] / self.units.length;
+                room.input[axis] = (pairs.separation[axis] / self.units.length).store();
             }
         }
         self.network.value(room);
-        room.output[0] * self.units.stress
+        W::load(&room.output[0]) * self.units.stress
     }
 
     /// From derivatives by the network's inputs to those by `rᵢⱼ`.
     #[inline(always)]
-    fn by_separation(&self, pairs: &Batch<D>, by_input: &[Lanes]) -> Vector<Lanes, D> {
+    fn by_separation<W: Wide>(&self, pairs: &Batch<W, D>, by_input: &[Lanes]) -> Vector<W, D> {
         if self.antisymmetric {
-            return pairs.direction() * (by_input[0] / self.units.length);
+            return pairs.direction() * (W::load(&by_input[0]) / self.units.length);
         }
         let mut by = Vector::zero();
         for axis in 0..D {
-            by[axis] = by_input[axis] / self.units.length;
+            by[axis] = W::load(&by_input[axis]) / self.units.length;
         }
         by
     }
@@ -91,7 +91,7 @@ impl<const D: usize> Constitutive<D> for GradP<D> {
 }
 
 impl<const D: usize> PairLaw<D> for GradP<D> {
-    type Slope = CentralSlope<D>;
+    type Slope<W: Wide> = CentralSlope<W, D>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -103,38 +103,35 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
     }
 
     #[inline(always)]
-    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
         let stresses = self.stresses(pairs, room);
         pairs.separation * self.medium.strength(&pairs.pair, stresses)
     }
 
     #[inline(always)]
-    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> CentralSlope<D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D> {
         let stresses = self.stresses(pairs, room);
         self.network.jacobian(room);
         let s = self.medium.strength_gradient(&pairs.pair, stresses);
-        let mut slope = CentralSlope::new(pairs, &s, [Lanes::ZERO; 2]);
+        let mut slope = CentralSlope::new(pairs, &s, [W::of(0.0); 2]);
         let by_network = s.by_stress * self.units.stress;
         slope.by_separation += self.by_separation(pairs, &room.jacobian) * by_network;
         slope
     }
 
     #[inline(always)]
-    fn pullback(
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<D> {
+    ) -> PairCotangent<W, D> {
         let stresses = self.stresses(pairs, room);
         let s = self.medium.strength_gradient(&pairs.pair, stresses);
         let along = force.dot(pairs.separation);
-        for (sum, by) in room.physical.iter_mut().zip(&s.by_parameter) {
-            *sum += along * *by;
-        }
-        room.output_cotangent[0] = along * s.by_stress * self.units.stress;
+        room.output_cotangent[0] = (along * s.by_stress * self.units.stress).store();
         self.network.pullback(room);
-        let mut cotangent = CentralSlope::new(pairs, &s, [Lanes::ZERO; 2]).pullback(force);
+        let mut cotangent = CentralSlope::new(pairs, &s, [W::of(0.0); 2]).pullback(force);
         cotangent.separation += self.by_separation(pairs, &room.input_cotangent);
         cotangent
     }

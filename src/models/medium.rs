@@ -3,7 +3,7 @@
 use super::{CentralSlope, Parameters};
 use crate::kernel::{KernelName, Smoothing};
 use crate::pairs::{Batch, Pair};
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Scalar, Wide};
 use crate::scene::Scene;
 use crate::vector::Vector;
 use crate::viscosity::{Viscosity, monaghan, monaghan_gradient};
@@ -62,7 +62,7 @@ impl<const D: usize> Medium<D> {
 
     /// [`Medium::strength`] with its derivatives, by hand.
     #[inline(always)]
-    pub fn strength_gradient(&self, pair: &Pair<Lanes>, stresses: Lanes) -> Strength<Lanes> {
+    pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T> {
         let by = self.viscosity();
         let r = pair.r2.sqrt();
         let pull = self.smoothing.gradient(r) * -self.mass;
@@ -81,14 +81,14 @@ impl<const D: usize> Medium<D> {
 
     /// The linearised force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
     #[inline(always)]
-    pub fn slope(&self, pairs: &Batch<D>) -> CentralSlope<D> {
+    pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
     }
 
     /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
     #[inline(always)]
-    pub fn force(&self, pairs: &Batch<D>) -> Vector<Lanes, D> {
+    pub fn force<W: Wide>(&self, pairs: &Batch<W, D>) -> Vector<W, D> {
         pairs.separation * self.strength(&pairs.pair, pairs.stress_i + pairs.stress_j)
     }
 }

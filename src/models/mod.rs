@@ -31,17 +31,17 @@
 //!
 //! ```
 //! use whirls::models::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, Strength, Window};
-//! use whirls::{Flow, Scene, flow::State, pairs::Batch, scalar::Lanes, vector::Vector};
+//! use whirls::{Flow, Scene, flow::State, pairs::Batch, scalar::Wide, vector::Vector};
 //!
 //! #[derive(Clone, Debug)]
 //! struct SoftSpheres<const D: usize>(Medium<D>);
 //!
 //! impl<const D: usize> SoftSpheres<D> {
 //!     /// `fᵢⱼ = s rᵢⱼ` with `s = k w(r)`, and its gradient.
-//!     fn strength(&self, pairs: &Batch<D>) -> Strength<Lanes> {
+//!     fn strength<W: Wide>(&self, pairs: &Batch<W, D>) -> Strength<W> {
 //!         let (c, h) = (self.0.parameters.0[0], self.0.smoothing.h);
 //!         let (window, by_r2) = Window::new(h, true).at(pairs.pair.r2);
-//!         let (k, zero) = (0.05 * c * c / (h * h), Lanes::ZERO);
+//!         let (k, zero) = (0.05 * c * c / (h * h), W::of(0.0));
 //!         Strength {
 //!             value: window * k,
 //!             by_separation: by_r2 * k,
@@ -66,20 +66,18 @@
 //! }
 //!
 //! impl<const D: usize> PairLaw<D> for SoftSpheres<D> {
-//!     type Slope = CentralSlope<D>;
+//!     type Slope<W: Wide> = CentralSlope<W, D>;
 //!     fn is_antisymmetric(&self) -> bool {
 //!         true
 //!     }
-//!     fn force(&self, pairs: &Batch<D>, _: &mut Room) -> Vector<Lanes, D> {
+//!     fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
 //!         pairs.separation * self.strength(pairs).value
 //!     }
-//!     fn slope(&self, pairs: &Batch<D>, _: &mut Room) -> CentralSlope<D> {
-//!         CentralSlope::new(pairs, &self.strength(pairs), [Lanes::ZERO; 2])
+//!     fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
+//!         CentralSlope::new(pairs, &self.strength(pairs), [W::of(0.0); 2])
 //!     }
-//!     fn pullback(&self, pairs: &Batch<D>, force: Vector<Lanes, D>, room: &mut Room) -> PairCotangent<D> {
-//!         let slope = self.slope(pairs, room);
-//!         room.physical[0] += slope.by_parameter[0] * force.dot(pairs.separation);
-//!         slope.pullback(force)
+//!     fn pullback<W: Wide>(&self, pairs: &Batch<W, D>, force: Vector<W, D>, room: &mut Room) -> PairCotangent<W, D> {
+//!         self.slope(pairs, room).pullback(force)
 //!     }
 //! }
 //!
@@ -104,14 +102,15 @@ pub use medium::{Medium, Strength};
 pub use parameter::{Parameter, Parameters};
 pub use room::{Learned, Room};
 pub use scales::Scales;
-pub use slope::{CentralSlope, MatrixSlope, PairCotangent, Slope};
+pub use slope::{CentralSlope, Change, MatrixSlope, PairCotangent, Slope, StoredSlope};
+use slope::{load_directions, load_vector, store_vector};
 pub use window::Window;
 
 use crate::error::Result;
 use crate::kernel::{KernelName, Smoothing};
 use crate::packed::{PackedAdjoint, PackedSensitivity};
 use crate::pairs::{Batch, Hood};
-use crate::scalar::Lanes;
+use crate::scalar::{Lanes, Wide};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
@@ -256,7 +255,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 
     /// The speed of sound at density `rho`, for the Courant number; zero where the model has none.
-    /// By default that of Tait's fluid, `c ρ^((γ−1)/2)`.
+    /// Monotonic in `rho`. By default that of Tait's fluid, `c ρ^((γ−1)/2)`.
     fn sound_speed(&self, rho: f64) -> f64 {
         let [c, _, _, gamma, _] = self.medium().parameters.0;
         c.abs() * rho.max(0.0).powf(0.5 * (gamma - 1.0))
@@ -283,7 +282,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
 /// What two particles do to each other.
 pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     /// The linearised force.
-    type Slope: Slope<D>;
+    type Slope<W: Wide>: Slope<W, D>;
 
     /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
     fn is_antisymmetric(&self) -> bool;
@@ -294,19 +293,19 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     }
 
     /// The acceleration `fᵢⱼ` that eight neighbours each give to particle `i`.
-    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D>;
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D>;
 
     /// Its derivative by the pair's state.
-    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> Self::Slope;
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Self::Slope<W>;
 
-    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state; those by the parameters (at fixed stress)
-    /// are added to `room.physical` and `room.weights`.
-    fn pullback(
+    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the physical parameters at fixed
+    /// stress; those by a network's weights are added to `room.weights`.
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<D>;
+    ) -> PairCotangent<W, D>;
 }
 
 /// What a force evaluation's tangent needs beside the particles: one block of eight columns.

@@ -7,7 +7,7 @@ use super::{
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::Lanes;
+use crate::scalar::Wide;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -60,10 +60,10 @@ impl<const D: usize> NnSum<D> {
 
     /// `NN(ij)`, or `NN(ji)` for `sign = −1`, into `room`.
     #[inline(always)]
-    fn evaluate(&self, pairs: &Batch<D>, sign: f64, room: &mut Room) {
+    fn evaluate<W: Wide>(&self, pairs: &Batch<W, D>, sign: f64, room: &mut Room) {
         for axis in 0..D {
-            room.input[axis] = pairs.separation[axis] * (sign / self.units.length);
-            room.input[D + axis] = pairs.velocity[axis] * (sign / self.units.velocity);
+            room.input[axis] = (pairs.separation[axis] * (sign / self.units.length)).store();
+            room.input[D + axis] = (pairs.velocity[axis] * (sign / self.units.velocity)).store();
         }
         self.network.value(room);
     }
@@ -84,7 +84,7 @@ impl<const D: usize> Constitutive<D> for NnSum<D> {
 }
 
 impl<const D: usize> PairLaw<D> for NnSum<D> {
-    type Slope = MatrixSlope<D>;
+    type Slope<W: Wide> = MatrixSlope<W, D>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -96,22 +96,22 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     }
 
     #[inline(always)]
-    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
         let (window, _) = self.window.at(pairs.pair.r2);
         let mut force = Vector::zero();
         for &factor in self.ends() {
             self.evaluate(pairs, factor.signum(), room);
             for axis in 0..D {
-                force[axis] += room.output[axis] * (factor * self.units.force);
+                force[axis] += W::load(&room.output[axis]) * (factor * self.units.force);
             }
         }
         force * window
     }
 
     #[inline(always)]
-    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> MatrixSlope<D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> MatrixSlope<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
-        let mut slope = MatrixSlope::ZERO;
+        let mut slope = MatrixSlope::zero();
         for &factor in self.ends() {
             self.evaluate(pairs, factor.signum(), room);
             self.network.jacobian(room);
@@ -120,10 +120,11 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
             let inner = window * (scale * factor.signum());
             for a in 0..D {
                 let row = &room.jacobian[2 * D * a..2 * D * (a + 1)];
-                slope.by_separation[a] += pairs.separation * (room.output[a] * by_r2 * scale);
+                let output = W::load(&room.output[a]);
+                slope.by_separation[a] += pairs.separation * (output * by_r2 * scale);
                 for b in 0..D {
-                    slope.by_separation[a][b] += row[b] * inner / self.units.length;
-                    slope.by_velocity[a][b] += row[D + b] * inner / self.units.velocity;
+                    slope.by_separation[a][b] += W::load(&row[b]) * inner / self.units.length;
+                    slope.by_velocity[a][b] += W::load(&row[D + b]) * inner / self.units.velocity;
                 }
             }
         }
@@ -131,26 +132,27 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     }
 
     #[inline(always)]
-    fn pullback(
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<D> {
+    ) -> PairCotangent<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
-        let mut cotangent = PairCotangent::ZERO;
+        let mut cotangent = PairCotangent::zero();
         for &factor in self.ends() {
             self.evaluate(pairs, factor.signum(), room);
             let scale = factor * self.units.force;
-            let mut along = Lanes::ZERO;
+            let mut along = W::of(0.0);
             for axis in 0..D {
-                along += room.output[axis] * force[axis];
-                room.output_cotangent[axis] = force[axis] * window * scale;
+                along += W::load(&room.output[axis]) * force[axis];
+                room.output_cotangent[axis] = (force[axis] * window * scale).store();
             }
             self.network.pullback(room);
             cotangent.separation += pairs.separation * (along * by_r2 * scale);
             for axis in 0..D {
-                let (by_r, by_v) = (room.input_cotangent[axis], room.input_cotangent[D + axis]);
+                let by_r = W::load(&room.input_cotangent[axis]);
+                let by_v = W::load(&room.input_cotangent[D + axis]);
                 let sign = factor.signum();
                 cotangent.separation[axis] += by_r * (sign / self.units.length);
                 cotangent.velocity[axis] += by_v * (sign / self.units.velocity);

@@ -2,17 +2,16 @@
 
 use super::scales::Units;
 use super::{
-    Columns, Constitutive, Learned, MatrixSlope, Medium, Model, PairShare, Passed, Room, Scales,
-    Slope, Window,
+    Change, Columns, Constitutive, Learned, MatrixSlope, Medium, Model, PairShare, Passed, Room,
+    Scales, StoredSlope, Window, load_directions, load_vector, store_vector,
 };
 use crate::error::{Error, Result};
 use crate::network::Network;
-use crate::packed::{PackedAdjoint, PackedSensitivity};
+use crate::packed::PackedAdjoint;
 use crate::pairs::Hood;
-use crate::scalar::{Lanes, WIDTH};
+use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
-use pulp::{Arch, NullaryFnOnce};
 use serde::{Deserialize, Serialize};
 
 /// Options of [`Node`].
@@ -81,8 +80,8 @@ impl<const D: usize> Node<D> {
     /// The features of the neighbour at `place` of the chunk's lists for the chunk's `k`-th particle.
     #[inline(always)]
     fn feature(&self, hood: Hood<'_>, k: usize, place: u32) -> Feature<D> {
-        let here = &hood.packed[hood.chunk.first + k];
-        let there = &hood.packed[hood.chunk.slot(place as usize)];
+        let here = &hood.lines.double[hood.chunk.first + k];
+        let there = &hood.lines.double[hood.chunk.slot(place as usize)];
         let mut separation = Vector::<f64, D>::zero();
         let mut velocity = Vector::<f64, D>::zero();
         for axis in 0..D {
@@ -173,9 +172,9 @@ impl<const D: usize> Node<D> {
 
     /// The slope of particle `k` by its neighbour of a rank, in lane 0, after `network.jacobian`.
     #[inline(always)]
-    fn slope(&self, feature: &Feature<D>, (rank, lane): (usize, usize), room: &Room) -> MatrixSlope<D> {
+    fn slope(&self, feature: &Feature<D>, (rank, lane): (usize, usize), room: &Room) -> MatrixSlope<Lanes, D> {
         let inputs = 2 * D * self.nearest;
-        let mut slope = MatrixSlope::ZERO;
+        let mut slope = MatrixSlope::<Lanes, D>::zero();
         for a in 0..D {
             let row = &room.jacobian[a * inputs..(a + 1) * inputs];
             let [by_r, by_v] = self.through(feature, self.pick(row, rank, lane));
@@ -202,7 +201,7 @@ impl<const D: usize> Model<D> for Node<D> {
     }
 
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        Arch::new().dispatch(ForcePass { model: self, hood, room, out });
+        dispatch(ForcePass { model: self, hood, room, out });
     }
 
     fn tangents(
@@ -212,7 +211,7 @@ impl<const D: usize> Model<D> for Node<D> {
         room: &mut Room,
         out: &mut [Vector<Lanes, D>],
     ) {
-        Arch::new().dispatch(TangentPass { model: self, hood, columns, room, out });
+        dispatch(TangentPass { model: self, hood, columns, room, out });
     }
 
     fn has_force_network(&self) -> bool {
@@ -220,7 +219,7 @@ impl<const D: usize> Model<D> for Node<D> {
     }
 
     fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]) {
-        Arch::new().dispatch(WeightPass { model: self, hood, room, out });
+        dispatch(WeightPass { model: self, hood, room, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -234,7 +233,7 @@ impl<const D: usize> Model<D> for Node<D> {
         room: &mut Room,
         into: Passed<'_, D>,
     ) {
-        Arch::new().dispatch(PullPass { model: self, hood, forces, room, into });
+        dispatch(PullPass { model: self, hood, forces, room, into });
     }
 }
 
@@ -245,11 +244,11 @@ struct ForcePass<'a, const D: usize> {
     out: &'a mut [Vector<f64, D>],
 }
 
-impl<const D: usize> NullaryFnOnce for ForcePass<'_, D> {
+impl<const D: usize> Pass for ForcePass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { model, hood, room, out } = self;
         for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
             model.evaluate(hood, group * WIDTH, room);
@@ -270,18 +269,20 @@ struct TangentPass<'a, const D: usize> {
     out: &'a mut [Vector<Lanes, D>],
 }
 
-impl<const D: usize> NullaryFnOnce for TangentPass<'_, D> {
+impl<const D: usize> Pass for TangentPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { model, hood, columns, room, out } = self;
+        let directions = load_directions::<W>(columns.directions);
         for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
             model.evaluate(hood, group * WIDTH, room);
             model.network.jacobian(room);
             for (lane, acceleration) in accelerations.iter_mut().enumerate() {
                 let k = group * WIDTH + lane;
-                let own = &columns.sensitivities[hood.chunk.first + k];
+                let own = Change::load(&columns.sensitivities[hood.chunk.first + k]);
+                let mut sum = load_vector::<W, D>(acceleration);
                 for rank in 0..model.nearest {
                     let place = room.nearest[lane * model.nearest + rank];
                     if place == MISSING {
@@ -290,11 +291,14 @@ impl<const D: usize> NullaryFnOnce for TangentPass<'_, D> {
                     let feature = model.feature(hood, k, place);
                     let slope = model.slope(&feature, (rank, lane), room);
                     let other = match columns.coupling {
-                        Coupling::Full => columns.sensitivities[hood.chunk.slot(place as usize)],
-                        Coupling::Local => PackedSensitivity::ZERO,
+                        Coupling::Full => {
+                            Change::load(&columns.sensitivities[hood.chunk.slot(place as usize)])
+                        }
+                        Coupling::Local => Change::zero(),
                     };
-                    *acceleration += slope.tangent(0, own, &other, columns.directions);
+                    sum += slope.tangent(0, &own, &other, &directions);
                 }
+                *acceleration = store_vector(&sum);
             }
         }
     }
@@ -307,11 +311,11 @@ struct WeightPass<'a, const D: usize> {
     out: &'a mut [f64],
 }
 
-impl<const D: usize> NullaryFnOnce for WeightPass<'_, D> {
+impl<const D: usize> Pass for WeightPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { model, hood, room, out } = self;
         let count = model.network.weights.len();
         for (group, shares) in out.chunks_mut(WIDTH * D * count).enumerate() {
@@ -338,11 +342,11 @@ struct PullPass<'a, const D: usize> {
     into: Passed<'a, D>,
 }
 
-impl<const D: usize> NullaryFnOnce for PullPass<'_, D> {
+impl<const D: usize> Pass for PullPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Self { model, hood, forces, room, into } = self;
         into.neighbours.fill(PairShare::ZERO);
         for first in (0..hood.chunk.len()).step_by(WIDTH) {

@@ -1,12 +1,14 @@
 //! The loops over pairs that every [`PairLaw`] shares: value, tangent, pullback.
 
-use super::{Columns, Learned, Model, PairCotangent, PairLaw, PairShare, Passed, Room, Slope};
-use crate::packed::{PackedAdjoint, PackedSensitivity};
-use crate::pairs::{Batch, Hood, gather};
-use crate::scalar::{Lanes, Scalar};
+use super::{
+    Change, Columns, Learned, Model, PairCotangent, PairLaw, PairShare, Passed, Room, Slope,
+    StoredSlope, load_directions, load_vector, store_vector,
+};
+use crate::packed::PackedAdjoint;
+use crate::pairs::{Batch, Hood, adjoints};
+use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch_in};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
-use pulp::{Arch, NullaryFnOnce};
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     fn boxed(&self) -> Box<dyn Model<D>> {
@@ -14,7 +16,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        Arch::new().dispatch(ForcePass { law: self, hood, room, out });
+        dispatch_in(hood.lines.precision, ForcePass { law: self, hood, room, out });
     }
 
     fn tangents(
@@ -24,7 +26,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         room: &mut Room,
         out: &mut [Vector<Lanes, D>],
     ) {
-        Arch::new().dispatch(TangentPass { law: self, hood, columns, room, out });
+        dispatch_in(hood.lines.precision, TangentPass { law: self, hood, columns, room, out });
     }
 
     fn has_force_network(&self) -> bool {
@@ -32,7 +34,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]) {
-        Arch::new().dispatch(WeightPass { law: self, hood, room, out });
+        dispatch_in(hood.lines.precision, WeightPass { law: self, hood, room, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -46,7 +48,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         room: &mut Room,
         into: Passed<'_, D>,
     ) {
-        Arch::new().dispatch(PullPass { law: self, hood, forces, room, into });
+        dispatch_in(hood.lines.precision, PullPass { law: self, hood, forces, room, into });
     }
 }
 
@@ -58,23 +60,34 @@ struct ForcePass<'a, L, const D: usize> {
     out: &'a mut [Vector<f64, D>],
 }
 
-impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for ForcePass<'_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { law, hood: Hood { packed, chunk, space }, room, out } = self;
+    fn run<W: Wide>(self) {
+        let Self { law, hood: Hood { lines, chunk, space }, room, out } = self;
         for (k, acceleration) in out.iter_mut().enumerate() {
-            let here = &packed[chunk.first + k];
-            let mut sum = Vector::<Lanes, D>::zero();
+            let here = chunk.first + k;
+            let mut sum = Vector::<W::Double, D>::zero();
             for slots in chunk.neighbours(k) {
-                sum += law.force(&Batch::<D>::read(packed, here, slots, space), room);
+                let force = law.force(&Batch::<W, D>::read(lines, here, slots, space), room);
+                sum += widen(force);
             }
             for axis in 0..D {
                 acceleration[axis] = sum[axis].sum();
             }
         }
     }
+}
+
+/// Every component as doubles.
+#[inline(always)]
+fn widen<W: Wide, const D: usize>(vector: Vector<W, D>) -> Vector<W::Double, D> {
+    let mut wide = Vector::zero();
+    for axis in 0..D {
+        wide[axis] = vector[axis].widen();
+    }
+    wide
 }
 
 /// `δaᵢ = Σⱼ δfᵢⱼ` over one chunk of particles and one block of parameters: the slope is found for
@@ -87,32 +100,33 @@ struct TangentPass<'a, L, const D: usize> {
     out: &'a mut [Vector<Lanes, D>],
 }
 
-impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for TangentPass<'_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for TangentPass<'_, L, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { law, hood: Hood { packed, chunk, space }, columns, room, out } = self;
+    fn run<W: Wide>(self) {
+        let Self { law, hood: Hood { lines, chunk, space }, columns, room, out } = self;
+        let directions = load_directions::<W::Double>(columns.directions);
         for (k, acceleration) in out.iter_mut().enumerate() {
             let slot = chunk.first + k;
-            let own = &columns.sensitivities[slot];
-            let mut sum = *acceleration;
+            let own = Change::load(&columns.sensitivities[slot]);
+            let mut sum = load_vector::<W::Double, D>(acceleration);
             for slots in chunk.neighbours(k) {
-                let batch = Batch::<D>::read(packed, &packed[slot], slots, space);
-                let slope = law.slope(&batch, room);
+                let batch = Batch::<W, D>::read(lines, slot, slots, space);
+                let slope = law.slope(&batch, room).store();
                 for (lane, &j) in slots.iter().enumerate() {
                     let Some(other) = columns.sensitivities.get(j as usize) else { break };
-                    sum += match columns.coupling {
-                        Coupling::Full => slope.tangent(lane, own, other, columns.directions),
+                    let other = match columns.coupling {
+                        Coupling::Full => Change::load(other),
                         Coupling::Local => {
                             let by_density = columns.stress_slopes[j as usize];
-                            let other = alone(law, &batch, lane, (own, other, by_density));
-                            slope.tangent(lane, own, &other, columns.directions)
+                            alone(law, &batch, lane, (&own, &Change::load(other), by_density))
                         }
                     };
+                    sum += slope.tangent(lane, &own, &other, &directions);
                 }
             }
-            *acceleration = sum;
+            *acceleration = store_vector(&sum);
         }
     }
 }
@@ -120,24 +134,20 @@ impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for TangentPass<'_, L, D> {
 /// A neighbour whose own sensitivities are dropped: of `δρⱼ` only what particle `i` itself gives
 /// remains, of `δAⱼ` that and the explicit dependence on the parameters.
 #[inline(always)]
-fn alone<L: PairLaw<D>, const D: usize>(
+fn alone<L: PairLaw<D>, P: Wide, W: Wide, const D: usize>(
     law: &L,
-    batch: &Batch<D>,
+    batch: &Batch<P, D>,
     lane: usize,
-    (own, other, by_density): (&PackedSensitivity<D>, &PackedSensitivity<D>, f64),
-) -> PackedSensitivity<D> {
+    (own, other, by_density): (&Change<W, D>, &Change<W, D>, f64),
+) -> Change<W, D> {
     let medium = law.medium();
-    let pull = medium.smoothing.gradient(batch.pair.r2.lane(lane).sqrt()) * medium.mass;
-    let mut given = Lanes::ZERO;
+    let pull = medium.smoothing.gradient(batch.pair.r2.store().lane(lane).sqrt()) * medium.mass;
+    let mut given = W::of(0.0);
     for axis in 0..D {
-        given += own.position[axis] * (batch.separation[axis].lane(lane) * pull);
+        given += own.position[axis] * (batch.separation[axis].store().lane(lane) * pull);
     }
     let explicit = other.stress - other.density * by_density;
-    PackedSensitivity {
-        density: given,
-        stress: explicit + given * by_density,
-        ..PackedSensitivity::ZERO
-    }
+    Change { density: given, stress: explicit + given * by_density, ..Change::zero() }
 }
 
 /// `∂aᵢ/∂weights` over one chunk: the pullback of each component in turn.
@@ -148,21 +158,21 @@ struct WeightPass<'a, L, const D: usize> {
     out: &'a mut [f64],
 }
 
-impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for WeightPass<'_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for WeightPass<'_, L, D> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { law, hood: Hood { packed, chunk, space }, room, out } = self;
+    fn run<W: Wide>(self) {
+        let Self { law, hood: Hood { lines, chunk, space }, room, out } = self;
         let count = law.network().map_or(0, |network: &Learned| network.weights.len());
         for (row, shares) in out.chunks_exact_mut(count.max(1)).enumerate() {
             let (k, axis) = (row / D, row % D);
-            let mut component = Vector::<Lanes, D>::zero();
-            component[axis] = Lanes::of(1.0);
+            let mut component = Vector::<W, D>::zero();
+            component[axis] = W::of(1.0);
             room.clear();
             for slots in chunk.neighbours(k) {
-                let here = &packed[chunk.first + k];
-                law.pullback(&Batch::<D>::read(packed, here, slots, space), component, room);
+                let batch = Batch::<W, D>::read(lines, chunk.first + k, slots, space);
+                law.pullback(&batch, component, room);
             }
             for (share, lanes) in shares.iter_mut().zip(&room.weights) {
                 *share = lanes.sum();
@@ -181,40 +191,35 @@ struct PullPass<'a, L, const D: usize> {
     into: Passed<'a, D>,
 }
 
-impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for PullPass<'_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
     type Output = ();
 
     /// Where the two forces of a pair are opposite, its part of the loss is `(λᵢ − λⱼ)·fᵢⱼ`, from which
     /// each particle takes its own derivatives. Otherwise it is `λᵢ·fᵢⱼ`, of which the neighbour's
     /// derivatives are left for it to fetch.
     #[inline(always)]
-    fn call(self) {
-        let Self { law, hood: Hood { packed, chunk, space }, forces, room, into } = self;
+    fn run<W: Wide>(self) {
+        let Self { law, hood: Hood { lines, chunk, space }, forces, room, into } = self;
         let both = law.is_antisymmetric();
+        let mut parameters = [W::Double::of(0.0); 3];
         for k in 0..chunk.len() {
             let slot = chunk.first + k;
-            let mut sum = PairCotangent::<D>::ZERO;
+            let mut sum = PairCotangent::<W::Double, D>::zero();
             for (number, slots) in chunk.neighbours(k).iter().enumerate() {
-                let batch = Batch::<D>::read(packed, &packed[slot], slots, space);
-                let mut across = Vector::<Lanes, D>::zero();
+                let batch = Batch::<W, D>::read(lines, slot, slots, space);
+                let there = adjoints::<W>(forces, slots);
+                let mut across = Vector::<W, D>::zero();
                 for axis in 0..D {
-                    across[axis] = Lanes::of(forces[slot].force[axis]);
+                    let mut force = W::Double::of(forces[slot].force[axis]);
                     if both {
-                        across[axis] -= gather(forces, slots, |a| a.force[axis]);
+                        force -= there[axis];
                     }
+                    across[axis] = W::narrow(force);
                 }
                 let passed = law.pullback(&batch, across, room);
-                sum.separation += passed.separation;
-                sum.velocity += passed.velocity;
-                sum.stress[0] += passed.stress[0];
-                sum.density[0] += passed.density[0];
+                add_own(&mut sum, &passed);
                 if !both {
-                    into.neighbours[chunk.first_batch(k) + number] = PairShare {
-                        position: -passed.separation,
-                        velocity: -passed.velocity,
-                        stress: passed.stress[1],
-                        density: passed.density[1],
-                    };
+                    into.neighbours[chunk.first_batch(k) + number] = share_of(&passed);
                 }
             }
             for axis in 0..D {
@@ -222,6 +227,12 @@ impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for PullPass<'_, L, D> {
                 into.velocity[k][axis] += sum.velocity[axis].sum();
             }
             into.scalars[k] = (sum.stress[0].sum(), sum.density[0].sum());
+            for (total, own) in parameters.iter_mut().zip(sum.parameters) {
+                *total += own;
+            }
+        }
+        for (total, sum) in room.physical.iter_mut().zip(parameters) {
+            *total += sum.store();
         }
         if both {
             // Every pair was met from both ends.
@@ -229,5 +240,31 @@ impl<L: PairLaw<D>, const D: usize> NullaryFnOnce for PullPass<'_, L, D> {
                 *sum = *sum * 0.5;
             }
         }
+    }
+}
+
+/// Adds the part of a cotangent that belongs to particle `i`, and that of the parameters.
+#[inline(always)]
+fn add_own<W: Wide, const D: usize>(
+    sum: &mut PairCotangent<W::Double, D>,
+    passed: &PairCotangent<W, D>,
+) {
+    sum.separation += widen(passed.separation);
+    sum.velocity += widen(passed.velocity);
+    sum.stress[0] += passed.stress[0].widen();
+    sum.density[0] += passed.density[0].widen();
+    for (total, part) in sum.parameters.iter_mut().zip(passed.parameters) {
+        *total += part.widen();
+    }
+}
+
+/// The part that belongs to particle `j`.
+#[inline(always)]
+fn share_of<W: Wide, const D: usize>(passed: &PairCotangent<W, D>) -> PairShare<D> {
+    PairShare {
+        position: store_vector(&-passed.separation),
+        velocity: store_vector(&-passed.velocity),
+        stress: passed.stress[1].store(),
+        density: passed.density[1].store(),
     }
 }

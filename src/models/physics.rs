@@ -2,7 +2,7 @@
 
 use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, StressSlope};
 use crate::pairs::Batch;
-use crate::scalar::{Dual, Lanes};
+use crate::scalar::{Dual, Lanes, Wide};
 use crate::state;
 use crate::vector::Vector;
 
@@ -39,7 +39,7 @@ impl<const D: usize> Constitutive<D> for Physics<D> {
 }
 
 impl<const D: usize> PairLaw<D> for Physics<D> {
-    type Slope = CentralSlope<D>;
+    type Slope<W: Wide> = CentralSlope<W, D>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -47,23 +47,23 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
     }
 
     #[inline(always)]
-    fn force(&self, pairs: &Batch<D>, _: &mut Room) -> Vector<Lanes, D> {
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
         self.0.force(pairs)
     }
 
     #[inline(always)]
-    fn slope(&self, pairs: &Batch<D>, _: &mut Room) -> CentralSlope<D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
         self.0.slope(pairs)
     }
 
     #[inline(always)]
-    fn pullback(
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
-        room: &mut Room,
-    ) -> PairCotangent<D> {
-        pull_back_fluid(&self.0, pairs, force, room)
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
+        _: &mut Room,
+    ) -> PairCotangent<W, D> {
+        self.0.slope(pairs).pullback(force)
     }
 }
 
@@ -93,20 +93,4 @@ pub(super) fn tait_stress_slope<const D: usize>(medium: &Medium<D>, rho: Lanes) 
         slope.by_parameter[3].set_lane(lane, by_gamma);
     }
     slope
-}
-
-/// The pullback of [`Medium::force`].
-#[inline(always)]
-pub(super) fn pull_back_fluid<const D: usize>(
-    medium: &Medium<D>,
-    pairs: &Batch<D>,
-    force: Vector<Lanes, D>,
-    room: &mut Room,
-) -> PairCotangent<D> {
-    let slope = medium.slope(pairs);
-    let along = force.dot(pairs.separation);
-    for (sum, by) in room.physical.iter_mut().zip(&slope.by_parameter) {
-        *sum += along * *by;
-    }
-    slope.pullback(force)
 }

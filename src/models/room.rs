@@ -2,8 +2,7 @@
 
 use super::Parameter;
 use crate::network::{Cotangents, Network, Workspace};
-use crate::scalar::Lanes;
-use pulp::{Arch, NullaryFnOnce};
+use crate::scalar::{Lanes, Pass, Wide, dispatch};
 
 /// A network with its numbers.
 #[derive(Clone, Debug)]
@@ -17,7 +16,6 @@ pub struct Learned {
 /// What one thread needs to evaluate and differentiate a model: made once, used for every chunk.
 #[derive(Clone, Debug, Default)]
 pub struct Room {
-    arch: Arch,
     workspace: Option<Workspace>,
     /// What goes into the network, `[inputs]`.
     pub input: Vec<Lanes>,
@@ -78,13 +76,13 @@ impl Learned {
     pub fn value(&self, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         let (input, output) = (&room.input, &mut room.output);
-        room.arch.dispatch(Value { network: self, workspace, input, output });
+        dispatch(Value { network: self, workspace, input, output });
     }
 
     /// `room.jacobian` of the last [`Learned::value`].
     pub fn jacobian(&self, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
-        room.arch.dispatch(Jacobian { network: self, workspace, into: &mut room.jacobian });
+        dispatch(Jacobian { network: self, workspace, into: &mut room.jacobian });
     }
 
     /// From `room.output_cotangent`, `room.input_cotangent` of the last [`Learned::value`], and what
@@ -93,14 +91,14 @@ impl Learned {
         let Some(workspace) = &mut room.workspace else { return };
         let into = Cotangents { input: &mut room.input_cotangent, parameters: &mut room.weights };
         let output = &room.output_cotangent;
-        room.arch.dispatch(Pullback { network: self, workspace, output, into });
+        dispatch(Pullback { network: self, workspace, output, into });
     }
 
     /// `∂out/∂weights` of one output of the last [`Learned::value`], in place of the weights' sums.
     pub fn weight_gradient(&self, output: usize, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         let into = &mut room.weights;
-        room.arch.dispatch(WeightGradient { network: self, workspace, output, into });
+        dispatch(WeightGradient { network: self, workspace, output, into });
     }
 }
 
@@ -114,13 +112,13 @@ struct Value<'a> {
     output: &'a mut [Lanes],
 }
 
-impl NullaryFnOnce for Value<'_> {
+impl Pass for Value<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Learned { shape, weights } = self.network;
-        self.output.copy_from_slice(shape.value(weights, self.input, self.workspace));
+        self.output.copy_from_slice(shape.value::<W>(weights, self.input, self.workspace));
     }
 }
 
@@ -130,13 +128,13 @@ struct Jacobian<'a> {
     into: &'a mut [Lanes],
 }
 
-impl NullaryFnOnce for Jacobian<'_> {
+impl Pass for Jacobian<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Learned { shape, weights } = self.network;
-        shape.jacobian(weights, self.workspace, self.into);
+        shape.jacobian::<W>(weights, self.workspace, self.into);
     }
 }
 
@@ -147,13 +145,13 @@ struct Pullback<'a> {
     into: Cotangents<'a>,
 }
 
-impl NullaryFnOnce for Pullback<'_> {
+impl Pass for Pullback<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Learned { shape, weights } = self.network;
-        shape.pullback(weights, self.output, self.workspace, self.into);
+        shape.pullback::<W>(weights, self.output, self.workspace, self.into);
     }
 }
 
@@ -164,12 +162,12 @@ struct WeightGradient<'a> {
     into: &'a mut [Lanes],
 }
 
-impl NullaryFnOnce for WeightGradient<'_> {
+impl Pass for WeightGradient<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let Learned { shape, weights } = self.network;
-        shape.parameter_gradient(weights, self.output, self.workspace, self.into);
+        shape.parameter_gradient::<W>(weights, self.output, self.workspace, self.into);
     }
 }

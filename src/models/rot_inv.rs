@@ -9,7 +9,7 @@ use super::{
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Wide};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -63,45 +63,47 @@ impl<const D: usize> RotInv<D> {
 
     /// The network's output.
     #[inline(always)]
-    fn evaluate(&self, pairs: &Batch<D>, room: &mut Room) -> Lanes {
+    fn evaluate<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
         let u = &self.units;
         let (a, b) = (pairs.stress_i / u.stress, pairs.stress_j / u.stress);
         let stresses = if self.antisymmetric { [(a + b) * 0.5, (a - b) * (a - b)] } else { [a, b] };
-        room.input[..2].copy_from_slice(&stresses);
-        room.input[2] = pairs.pair.approach / (u.length * u.velocity);
-        room.input[3] = pairs.pair.r2.sqrt() / u.length;
+        room.input[0] = stresses[0].store();
+        room.input[1] = stresses[1].store();
+        room.input[2] = (pairs.pair.approach / (u.length * u.velocity)).store();
+        room.input[3] = (pairs.pair.r2.sqrt() / u.length).store();
         self.network.value(room);
-        room.output[0]
+        W::load(&room.output[0])
     }
 
     /// `(s, slope)` from the derivative of `s` by the network's inputs, `by_input`, and through the
     /// window, `by_window`.
     #[inline(always)]
-    fn gather(
+    fn gather<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        value: Lanes,
-        by_window: Lanes,
+        pairs: &Batch<W, D>,
+        value: W,
+        by_window: W,
         by_input: &[Lanes],
-    ) -> CentralSlope<D> {
+    ) -> CentralSlope<W, D> {
         let u = &self.units;
-        let by_approach = by_input[2] / (u.length * u.velocity);
-        let (mut by_i, mut by_j) = (by_input[0] / u.stress, by_input[1] / u.stress);
+        let by = |input: usize| W::load(&by_input[input]);
+        let by_approach = by(2) / (u.length * u.velocity);
+        let (mut by_i, mut by_j) = (by(0) / u.stress, by(1) / u.stress);
         if self.antisymmetric {
             let mean = by_i * 0.5;
             let difference = by_j * (pairs.stress_i - pairs.stress_j) * (2.0 / u.stress);
             (by_i, by_j) = (mean + difference, mean - difference);
         }
         let mut by_separation = pairs.separation * by_window + pairs.velocity * by_approach;
-        by_separation += pairs.direction() * (by_input[3] / u.length);
+        by_separation += pairs.direction() * (by(3) / u.length);
         CentralSlope {
             separation: pairs.separation,
             value,
             by_separation,
             by_velocity: pairs.separation * by_approach,
             by_stress: [by_i, by_j],
-            by_density: Lanes::ZERO,
-            by_parameter: [Lanes::ZERO; 3],
+            by_density: W::of(0.0),
+            by_parameter: [W::of(0.0); 3],
         }
     }
 }
@@ -130,7 +132,7 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
 }
 
 impl<const D: usize> PairLaw<D> for RotInv<D> {
-    type Slope = CentralSlope<D>;
+    type Slope<W: Wide> = CentralSlope<W, D>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -142,37 +144,37 @@ impl<const D: usize> PairLaw<D> for RotInv<D> {
     }
 
     #[inline(always)]
-    fn force(&self, pairs: &Batch<D>, room: &mut Room) -> Vector<Lanes, D> {
+    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
         let (window, _) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
         pairs.separation * (self.evaluate(pairs, room) * window * scale)
     }
 
     #[inline(always)]
-    fn slope(&self, pairs: &Batch<D>, room: &mut Room) -> CentralSlope<D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
         let value = self.evaluate(pairs, room) * scale;
         self.network.jacobian(room);
         let factor = window * scale;
         for slope in &mut room.jacobian {
-            *slope = *slope * factor;
+            *slope = (W::load(slope) * factor).store();
         }
         self.gather(pairs, value * window, value * by_r2, &room.jacobian)
     }
 
     #[inline(always)]
-    fn pullback(
+    fn pullback<W: Wide>(
         &self,
-        pairs: &Batch<D>,
-        force: Vector<Lanes, D>,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<D> {
+    ) -> PairCotangent<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
         let value = self.evaluate(pairs, room) * scale;
         let along = force.dot(pairs.separation);
-        room.output_cotangent[0] = along * window * scale;
+        room.output_cotangent[0] = (along * window * scale).store();
         self.network.pullback(room);
         // The derivatives by the inputs carry `along` already.
         let by = self.gather(pairs, value * window, value * by_r2 * along, &room.input_cotangent);
@@ -180,7 +182,7 @@ impl<const D: usize> PairLaw<D> for RotInv<D> {
             separation: force * by.value + by.by_separation,
             velocity: by.by_velocity,
             stress: by.by_stress,
-            density: [Lanes::ZERO; 2],
+            ..PairCotangent::zero()
         }
     }
 }

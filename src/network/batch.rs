@@ -2,7 +2,7 @@
 //!
 //! Lane `l` of every number belongs to pair (or particle) `l`; weights are the same in all lanes.
 //! Everything here is inlined into its caller, who dispatches once to the widest instructions
-//! (`pulp`), and works in a [`Workspace`], so that no call allocates.
+//! ([`crate::scalar::dispatch`]), and works in a [`Workspace`], so that no call allocates.
 //!
 //! The loops have a shape for a reason. An innermost loop whose rounds are independent of each other
 //! invites the compiler to vectorise over the rounds, with gathers, instead of over the lanes, at ten
@@ -11,7 +11,7 @@
 
 use super::elementary::tanh;
 use super::{Layer, LayerMut, Network};
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Wide};
 
 /// What an evaluation leaves for its derivatives: [`Network::value`] fills it, the others read it.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ pub struct Cotangents<'a> {
 impl Network {
     /// The outputs `[outputs]` for eight inputs `[inputs]`: [`Network::plain`], lane by lane.
     #[inline(always)]
-    pub fn value<'w>(
+    pub fn value<'w, W: Wide>(
         &self,
         parameters: &[f64],
         input: &[Lanes],
@@ -73,9 +73,9 @@ impl Network {
     ) -> &'w [Lanes] {
         let [first, second, last] = self.layers(parameters);
         workspace.input.copy_from_slice(input);
-        first.hidden(&workspace.input, &mut workspace.first);
-        second.hidden(&workspace.first, &mut workspace.second);
-        last.affine(&workspace.second, &mut workspace.output);
+        first.hidden::<W>(&workspace.input, &mut workspace.first);
+        second.hidden::<W>(&workspace.first, &mut workspace.second);
+        last.affine::<W>(&workspace.second, &mut workspace.output);
         &workspace.output
     }
 
@@ -86,7 +86,7 @@ impl Network {
     /// share of the parameters in `Σⱼ wᵢⱼ NN(ij)` is the same sum: pull `wᵢⱼ` back for all neighbours
     /// of one particle, then sum the lanes once.
     #[inline(always)]
-    pub fn pullback(
+    pub fn pullback<W: Wide>(
         &self,
         parameters: &[f64],
         output_cotangent: &[Lanes],
@@ -95,26 +95,31 @@ impl Network {
     ) {
         let layers = self.layers(parameters);
         let [first_into, second_into, last_into] = self.layers_mut(into.parameters);
-        pull(&layers, output_cotangent, workspace);
-        last_into.add(output_cotangent, &workspace.second);
-        second_into.add(&workspace.second_cotangent, &workspace.first);
-        first_into.add(&workspace.first_cotangent, &workspace.input);
-        layers[0].transposed(&workspace.first_cotangent, into.input);
+        pull::<W>(&layers, output_cotangent, workspace);
+        last_into.add::<W>(output_cotangent, &workspace.second);
+        second_into.add::<W>(&workspace.second_cotangent, &workspace.first);
+        first_into.add::<W>(&workspace.first_cotangent, &workspace.input);
+        layers[0].transposed::<W>(&workspace.first_cotangent, into.input);
     }
 
     /// `∂out/∂in` of the last [`Network::value`], row by row, `[outputs × inputs]`.
     #[inline(always)]
-    pub fn jacobian(&self, parameters: &[f64], workspace: &mut Workspace, jacobian: &mut [Lanes]) {
+    pub fn jacobian<W: Wide>(
+        &self,
+        parameters: &[f64],
+        workspace: &mut Workspace,
+        jacobian: &mut [Lanes],
+    ) {
         let layers = self.layers(parameters);
         for (output, row) in jacobian.chunks_exact_mut(self.inputs()).enumerate() {
-            pull_chosen(&layers, output, workspace);
-            layers[0].transposed(&workspace.first_cotangent, row);
+            pull_chosen::<W>(&layers, output, workspace);
+            layers[0].transposed::<W>(&workspace.first_cotangent, row);
         }
     }
 
     /// `∂out/∂θ` of one output of the last [`Network::value`], `[parameters]`: overwrites `gradient`.
     #[inline(always)]
-    pub fn parameter_gradient(
+    pub fn parameter_gradient<W: Wide>(
         &self,
         parameters: &[f64],
         output: usize,
@@ -124,10 +129,10 @@ impl Network {
         let layers = self.layers(parameters);
         gradient.fill(Lanes::ZERO);
         let [first_into, second_into, last_into] = self.layers_mut(gradient);
-        pull_chosen(&layers, output, workspace);
-        last_into.add(&workspace.chosen, &workspace.second);
-        second_into.add(&workspace.second_cotangent, &workspace.first);
-        first_into.add(&workspace.first_cotangent, &workspace.input);
+        pull_chosen::<W>(&layers, output, workspace);
+        last_into.add::<W>(&workspace.chosen, &workspace.second);
+        second_into.add::<W>(&workspace.second_cotangent, &workspace.first);
+        first_into.add::<W>(&workspace.first_cotangent, &workspace.input);
     }
 
     /// Forward mode for one pair and a block of eight parameters: `δout = J δin`, `[outputs]`.
@@ -135,7 +140,7 @@ impl Network {
     /// `jacobian` is that of [`Network::jacobian`], of which `lane` names the pair; the lanes of
     /// `input_tangent` `[inputs]` and of the result are parameters.
     #[inline(always)]
-    pub fn tangent(
+    pub fn tangent<W: Wide>(
         &self,
         jacobian: &[Lanes],
         lane: usize,
@@ -144,80 +149,86 @@ impl Network {
     ) {
         let rows = jacobian.chunks_exact(self.inputs());
         for (change, row) in output_tangent.iter_mut().zip(rows) {
-            let mut sum = Lanes::ZERO;
+            let mut sum = W::of(0.0);
             for (slope, x) in row.iter().zip(input_tangent) {
-                sum += *x * slope.to_array()[lane];
+                sum += W::load(x) * slope.lane(lane);
             }
-            *change = sum;
+            *change = sum.store();
         }
     }
 }
 
 /// From derivatives by the outputs to those by what each `tanh` receives.
 #[inline(always)]
-fn pull([_, second, last]: &[Layer<'_, f64>; 3], cotangent: &[Lanes], workspace: &mut Workspace) {
+fn pull<W: Wide>(
+    [_, second, last]: &[Layer<'_, f64>; 3],
+    cotangent: &[Lanes],
+    workspace: &mut Workspace,
+) {
     let Workspace { first, second: y2, first_cotangent, second_cotangent, .. } = workspace;
-    last.transposed_hidden(cotangent, y2, second_cotangent);
-    second.transposed_hidden(second_cotangent, first, first_cotangent);
+    last.transposed_hidden::<W>(cotangent, y2, second_cotangent);
+    second.transposed_hidden::<W>(second_cotangent, first, first_cotangent);
 }
 
 /// The same for one output alone.
 #[inline(always)]
-fn pull_chosen(layers: &[Layer<'_, f64>; 3], output: usize, workspace: &mut Workspace) {
+fn pull_chosen<W: Wide>(layers: &[Layer<'_, f64>; 3], output: usize, workspace: &mut Workspace) {
     let mut chosen = std::mem::take(&mut workspace.chosen);
     chosen.fill(Lanes::ZERO);
-    chosen[output] = Lanes::of(1.0);
-    pull(layers, &chosen, workspace);
+    chosen[output] = W::of(1.0).store();
+    pull::<W>(layers, &chosen, workspace);
     workspace.chosen = chosen;
 }
 
 impl Layer<'_, f64> {
     /// `W x + b`, unit by unit.
     #[inline(always)]
-    fn affine(&self, x: &[Lanes], units: &mut [Lanes]) {
+    fn affine<W: Wide>(&self, x: &[Lanes], units: &mut [Lanes]) {
         let mut rows = self.weights;
         for (unit, &bias) in units.iter_mut().zip(self.bias) {
             let (row, rest) = rows.split_at(x.len());
-            *unit = row_times(row, x, bias);
+            *unit = row_times::<W>(row, x, bias).store();
             rows = rest;
         }
     }
 
     /// `tanh(W x + b)`, unit by unit.
     #[inline(always)]
-    fn hidden(&self, x: &[Lanes], units: &mut [Lanes]) {
+    fn hidden<W: Wide>(&self, x: &[Lanes], units: &mut [Lanes]) {
         let mut rows = self.weights;
         for (unit, &bias) in units.iter_mut().zip(self.bias) {
             let (row, rest) = rows.split_at(x.len());
-            *unit = tanh(row_times(row, x, bias));
+            *unit = tanh(row_times::<W>(row, x, bias)).store();
             rows = rest;
         }
     }
 
     /// `Wᵀ λ`.
     #[inline(always)]
-    fn transposed(&self, cotangent: &[Lanes], into: &mut [Lanes]) {
+    fn transposed<W: Wide>(&self, cotangent: &[Lanes], into: &mut [Lanes]) {
         let receives = into.len();
         for (column, into) in into.iter_mut().enumerate() {
-            *into = self.column_times(column, receives, cotangent);
+            *into = self.column_times::<W>(column, receives, cotangent).store();
         }
     }
 
     /// `Wᵀ λ` where `x = tanh z` went in, by `z`: times `1 − x²`.
     #[inline(always)]
-    fn transposed_hidden(&self, cotangent: &[Lanes], x: &[Lanes], into: &mut [Lanes]) {
-        for (column, (into, &y)) in into.iter_mut().zip(x).enumerate() {
-            *into = self.column_times(column, x.len(), cotangent) * (Lanes::of(1.0) - y * y);
+    fn transposed_hidden<W: Wide>(&self, cotangent: &[Lanes], x: &[Lanes], into: &mut [Lanes]) {
+        for (column, (into, y)) in into.iter_mut().zip(x).enumerate() {
+            let y = W::load(y);
+            let received = self.column_times::<W>(column, x.len(), cotangent);
+            *into = (received * (W::of(1.0) - y * y)).store();
         }
     }
 
     /// One column of `W` times `λ`.
     #[inline(always)]
-    fn column_times(&self, column: usize, receives: usize, cotangent: &[Lanes]) -> Lanes {
-        let mut sum = Lanes::ZERO;
+    fn column_times<W: Wide>(&self, column: usize, receives: usize, cotangent: &[Lanes]) -> W {
+        let mut sum = W::of(0.0);
         let mut place = column;
-        for &cotangent in cotangent {
-            sum += cotangent * self.weights[place];
+        for cotangent in cotangent {
+            sum += W::load(cotangent) * self.weights[place];
             place += receives;
         }
         sum
@@ -226,10 +237,10 @@ impl Layer<'_, f64> {
 
 /// One row of `W` times `x`, and the bias.
 #[inline(always)]
-fn row_times(row: &[f64], x: &[Lanes], bias: f64) -> Lanes {
-    let mut sum = Lanes::of(bias);
-    for (&weight, &x) in row.iter().zip(x) {
-        sum += x * weight;
+fn row_times<W: Wide>(row: &[f64], x: &[Lanes], bias: f64) -> W {
+    let mut sum = W::of(bias);
+    for (&weight, x) in row.iter().zip(x) {
+        sum += W::load(x) * weight;
     }
     sum
 }
@@ -237,13 +248,15 @@ fn row_times(row: &[f64], x: &[Lanes], bias: f64) -> Lanes {
 impl LayerMut<'_, Lanes> {
     /// `W̄ += λ xᵀ`, `b̄ += λ`.
     #[inline(always)]
-    fn add(self, cotangent: &[Lanes], x: &[Lanes]) {
+    fn add<W: Wide>(self, cotangent: &[Lanes], x: &[Lanes]) {
         let (mut unit, mut column) = (0, 0);
         for weight in self.weights {
-            *weight += cotangent[unit] * x[column];
+            let share = W::load(&cotangent[unit]) * W::load(&x[column]);
+            *weight = (W::load(weight) + share).store();
             column += 1;
             if column == x.len() {
-                self.bias[unit] += cotangent[unit];
+                let bias = W::load(&self.bias[unit]) + W::load(&cotangent[unit]);
+                self.bias[unit] = bias.store();
                 (unit, column) = (unit + 1, 0);
             }
         }

@@ -4,7 +4,7 @@
 //! Both write `x = k ln 2 + r` with `|r| ≤ ½ ln 2`, and `eʳ = (R + r)/(R − r)` with the even function
 //! `R(r) = r coth(r/2)`, a short polynomial (fdlibm, `e_exp.c`).
 
-use crate::scalar::{Lanes, WIDTH};
+use crate::scalar::{Lanes, WIDTH, Wide};
 use std::f64::consts::LOG2_E;
 
 /// `1.5 · 2⁵²`: a number added to it is rounded to a whole one, which stands in its lowest bits.
@@ -20,70 +20,53 @@ const LOWEST: f64 = -700.0;
 
 /// `(2ᵏ, r)` of `x = k ln 2 + r`.
 #[inline(always)]
-fn reduce(x: f64) -> (f64, f64) {
+fn reduce<W: Wide>(x: W) -> (W, W) {
     let shifted = x * LOG2_E + ROUND;
     let k = shifted - ROUND;
-    let power = f64::from_bits((shifted.to_bits() << 52).wrapping_add(1023 << 52));
-    (power, (x - k * LN_2_HIGH) - k * LN_2_LOW)
+    (W::power_of_two(shifted), (x - k * LN_2_HIGH) - k * LN_2_LOW)
 }
 
 /// `R − 2 = r coth(r/2) − 2` for `|r| ≤ ½ ln 2`, error below `2⁻⁵⁹`.
 #[inline(always)]
-fn even_part(r: f64) -> f64 {
+fn even_part<W: Wide>(r: W) -> W {
     let z = r * r;
-    let high = -1.653_390_220_546_525_2e-6 + z * 4.138_136_797_057_238_4e-8;
-    let low = 1.666_666_666_666_660_2e-1 - z * 2.777_777_777_701_559_3e-3;
-    z * (low + z * z * (6.613_756_321_437_934e-5 + z * high))
-}
-
-/// `tanh` of one lane.
-#[inline(always)]
-fn tanh_of_one(x: f64) -> f64 {
-    // Written so that a NaN is not less, and stays.
-    let size = if SATURATED < x.abs() { SATURATED } else { x.abs() };
-    let (power, r) = reduce(2.0 * size);
-    let even = even_part(r);
-    // The large share `2 (2ᵏ ∓ 1)` is exact: added last, it keeps the rounding of the others small.
-    let (less, more) = (power - 1.0, power + 1.0);
-    let difference = 2.0 * less + (less * even + more * r);
-    let sum = 2.0 * more + (more * even + less * r);
-    // Near one, what is missing to one is the smaller number, and never negative.
-    let missing = 2.0 * (2.0 + even - r);
-    let (base, part) = if power < 8.0 { (0.0, difference) } else { (1.0, -missing) };
-    (base + part / sum).copysign(x)
-}
-
-/// `eˣ` of one lane.
-#[inline(always)]
-fn exp_of_one(x: f64) -> f64 {
-    let (power, r) = reduce(if x < LOWEST { LOWEST } else { x });
-    power + power * (2.0 * r / (2.0 + even_part(r) - r))
+    let high = z * 4.138_136_797_057_238_4e-8 - 1.653_390_220_546_525_2e-6;
+    let low = W::of(1.666_666_666_666_660_2e-1) - z * 2.777_777_777_701_559_3e-3;
+    z * (low + z * z * (z * high + 6.613_756_321_437_934e-5))
 }
 
 /// `tanh x = (e²ˣ − 1)/(e²ˣ + 1)`, with `e²ˣ = 2ᵏ (R + r)/(R − r)` multiplied out, so that nothing
 /// cancels near zero.
 ///
 /// Within 3 units in the last place of the exact value everywhere; never above one in size; keeps the
-/// sign of zero; a NaN stays one. Its derivative is `1 − y²`.
+/// sign of zero; a NaN stays one. Its derivative is `1 − y²`. Of doubles.
 #[inline(always)]
-pub fn tanh(x: Lanes) -> Lanes {
-    let mut lanes = x.to_array();
-    for lane in &mut lanes {
-        *lane = tanh_of_one(*lane);
-    }
-    Lanes::new(lanes)
+pub fn tanh<W: Wide>(x: W) -> W {
+    // Written so that a NaN is not less, and stays.
+    let (saturated, size) = (W::of(SATURATED), x.abs());
+    let size = W::select_less(saturated, size, saturated, size);
+    let (power, r) = reduce(size * 2.0);
+    let even = even_part(r);
+    // The large share `2 (2ᵏ ∓ 1)` is exact: added last, it keeps the rounding of the others small.
+    let (less, more) = (power - 1.0, power + 1.0);
+    let difference = less * 2.0 + (less * even + more * r);
+    let sum = more * 2.0 + (more * even + less * r);
+    // Near one, what is missing to one is the smaller number, and never negative.
+    let missing = (even + 2.0 - r) * 2.0;
+    let eight = W::of(8.0);
+    let base = W::select_less(power, eight, W::of(0.0), W::of(1.0));
+    let part = W::select_less(power, eight, difference, -missing);
+    (base + part / sum).copysign(x)
 }
 
-/// `eˣ` for `x ≤ 700`; below −700 it stays at `e⁻⁷⁰⁰ ≈ 1e-304`.
+/// `eˣ` for `x ≤ 700`; below −700 it stays at `e⁻⁷⁰⁰ ≈ 1e-304`. Of doubles.
 ///
 /// Within 1 unit in the last place of [`f64::exp`].
 #[inline(always)]
-pub fn exp(x: Lanes) -> Lanes {
-    let mut lanes = x.to_array();
-    for lane in &mut lanes {
-        *lane = exp_of_one(*lane);
-    }
-    Lanes::new(lanes)
+pub fn exp<W: Wide>(x: W) -> W {
+    let lowest = W::of(LOWEST);
+    let (power, r) = reduce(W::select_less(x, lowest, lowest, x));
+    power + power * (r * 2.0 / (even_part(r) + 2.0 - r))
 }
 
 /// The eight numbers `0, 1, …, 7`.

@@ -82,8 +82,10 @@ fn initial_parameters_are_seeded_and_bounded_with_biases_of_zero() {
 #[test]
 fn eight_inputs_at_once_give_the_plain_value() {
     for mut case in cases() {
-        let output =
-            case.network.value(&case.parameters, &case.input, &mut case.workspace).to_vec();
+        let output = case
+            .network
+            .value::<Lanes>(&case.parameters, &case.input, &mut case.workspace)
+            .to_vec();
         assert_eq!(case.workspace.output(), output);
         for lane in 0..WIDTH {
             let plain = case.network.plain(&case.parameters, &one_lane(&case.input, lane));
@@ -98,13 +100,13 @@ fn eight_inputs_at_once_give_the_plain_value() {
 fn the_pullback_is_the_derivative_by_dual_numbers() {
     for mut case in cases() {
         let (inputs, count) = (case.network.inputs(), case.network.parameter_count());
-        case.network.value(&case.parameters, &case.input, &mut case.workspace);
+        case.network.value::<Lanes>(&case.parameters, &case.input, &mut case.workspace);
         let weights = [0.7, -1.3, 0.4, 2.0];
         let cotangent: Vec<_> =
             weights.iter().take(case.network.outputs()).map(|&w| Lanes::of(w)).collect();
         let (mut input, mut parameters) = (vec![Lanes::of(9.0); inputs], vec![Lanes::ZERO; count]);
         let into = Cotangents { input: &mut input, parameters: &mut parameters };
-        case.network.pullback(&case.parameters, &cotangent, &mut case.workspace, into);
+        case.network.pullback::<Lanes>(&case.parameters, &cotangent, &mut case.workspace, into);
         for lane in [0, 5] {
             let fast = [one_lane(&input, lane), one_lane(&parameters, lane)].concat();
             for (index, fast) in fast.into_iter().enumerate() {
@@ -122,17 +124,17 @@ fn jacobian_and_parameter_gradient_are_pullbacks_of_one_output() {
         let Case { network, parameters, input, workspace } = &mut case;
         let (inputs, outputs) = (network.inputs(), network.outputs());
         let zeros = vec![Lanes::ZERO; network.parameter_count()];
-        network.value(parameters, input, workspace);
+        network.value::<Lanes>(parameters, input, workspace);
         let mut jacobian = vec![Lanes::ZERO; inputs * outputs];
-        network.jacobian(parameters, workspace, &mut jacobian);
+        network.jacobian::<Lanes>(parameters, workspace, &mut jacobian);
         for output in 0..outputs {
             let mut gradient = vec![Lanes::of(3.0); zeros.len()];
-            network.parameter_gradient(parameters, output, workspace, &mut gradient);
+            network.parameter_gradient::<Lanes>(parameters, output, workspace, &mut gradient);
             let mut one = vec![Lanes::ZERO; outputs];
             one[output] = Lanes::of(1.0);
             let (mut by_input, mut by_parameter) = (vec![Lanes::ZERO; inputs], zeros.clone());
             let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-            network.pullback(parameters, &one, workspace, into);
+            network.pullback::<Lanes>(parameters, &one, workspace, into);
             let fast = [&jacobian[output * inputs..(output + 1) * inputs], &gradient].concat();
             for (fast, slow) in fast.iter().zip([by_input, by_parameter].concat()) {
                 (0..WIDTH).for_each(|l| near(fast.to_array()[l], slow.to_array()[l], "one"));
@@ -145,11 +147,11 @@ fn jacobian_and_parameter_gradient_are_pullbacks_of_one_output() {
 fn the_tangent_is_the_jacobian_of_one_pair_times_eight_columns() {
     let Case { network, parameters, input, mut workspace } = cases().swap_remove(2);
     let (inputs, outputs, lane) = (network.inputs(), network.outputs(), 6);
-    network.value(&parameters, &input, &mut workspace);
+    network.value::<Lanes>(&parameters, &input, &mut workspace);
     let mut jacobian = vec![Lanes::ZERO; inputs * outputs];
-    network.jacobian(&parameters, &mut workspace, &mut jacobian);
+    network.jacobian::<Lanes>(&parameters, &mut workspace, &mut jacobian);
     let mut output = vec![Lanes::ZERO; outputs];
-    network.tangent(&jacobian, lane, &input, &mut output);
+    network.tangent::<Lanes>(&jacobian, lane, &input, &mut output);
     for column in 0..WIDTH {
         for (o, change) in output.iter().enumerate() {
             let row = one_lane(&jacobian[o * inputs..(o + 1) * inputs], lane);
@@ -162,13 +164,13 @@ fn the_tangent_is_the_jacobian_of_one_pair_times_eight_columns() {
 #[test]
 fn parameter_cotangents_add_up() {
     let Case { network, parameters, input, mut workspace } = cases().swap_remove(0);
-    network.value(&parameters, &input, &mut workspace);
+    network.value::<Lanes>(&parameters, &input, &mut workspace);
     let mut by_input = [Lanes::ZERO; 3];
     let mut sum = vec![Lanes::ZERO; network.parameter_count()];
     let mut once = sum.clone();
     for k in 0..3 {
         let into = Cotangents { input: &mut by_input, parameters: &mut sum };
-        network.pullback(&parameters, &[Lanes::of(1.0)], &mut workspace, into);
+        network.pullback::<Lanes>(&parameters, &[Lanes::of(1.0)], &mut workspace, into);
         if k == 0 {
             once.clone_from(&sum);
         }
@@ -185,13 +187,13 @@ fn huge_weights_saturate_and_stay_finite() {
         let Case { network, parameters, input, workspace } = &mut case;
         let finite = |x: &Lanes| x.to_array().iter().all(|x| x.is_finite());
         let bound = 2e6 * (network.height() + 1) as f64;
-        let output = network.value(parameters, input, workspace);
+        let output = network.value::<Lanes>(parameters, input, workspace);
         assert!(output.iter().all(|y| y.to_array().iter().all(|y| y.abs() < bound)));
         let cotangent = vec![Lanes::of(1.0); network.outputs()];
         let mut by_input = vec![Lanes::ZERO; network.inputs()];
         let mut by_parameter = vec![Lanes::ZERO; network.parameter_count()];
         let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-        network.pullback(parameters, &cotangent, workspace, into);
+        network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
         assert!(by_input.iter().all(finite) && by_parameter.iter().all(finite));
     }
 }
@@ -216,15 +218,20 @@ impl NullaryFnOnce for Work<'_> {
         let mut sum = 0.0;
         for _ in 0..self.rounds {
             let input = std::hint::black_box(&*input);
-            sum += network.value(parameters, input, workspace)[0].to_array()[0];
+            sum += network.value::<Lanes>(parameters, input, workspace)[0].to_array()[0];
             match self.kind {
                 "pullback" => {
                     let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-                    network.pullback(parameters, &cotangent, workspace, into);
+                    network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
                 }
-                "jacobian" => network.jacobian(parameters, workspace, &mut jacobian),
+                "jacobian" => network.jacobian::<Lanes>(parameters, workspace, &mut jacobian),
                 "parameters" => {
-                    network.parameter_gradient(parameters, 0, workspace, &mut by_parameter);
+                    network.parameter_gradient::<Lanes>(
+                        parameters,
+                        0,
+                        workspace,
+                        &mut by_parameter,
+                    );
                 }
                 "tanh" => sum += tanh(input[0]).to_array()[0],
                 _ => {}

@@ -1,15 +1,18 @@
 //! Eight numbers that move together: the SIMD direction of every hot loop.
 
-use super::{Scalar, operators_with_f64};
+use super::wide::{compress_by_table, reading_of, separation_of};
+use super::{Scalar, Wide, operators_with_f64};
+use crate::packed::{Packed, PackedAdjoint};
+use crate::pairs::{Lines, Reading};
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// Numbers in one [`Lanes`]: one AVX-512 register of doubles, two of AVX2, four of NEON.
 pub const WIDTH: usize = 8;
 
-/// [`WIDTH`] doubles, added, multiplied and selected lane by lane.
-///
-/// A plain array: the compiler turns its loops into the widest instructions that the dispatched
-/// function may use. No operation is fused or reordered, so every instruction set gives the same bits.
+/// [`WIDTH`] doubles, added, multiplied and selected lane by lane: the form in which memory holds
+/// them, the plain implementation of [`Wide`], and the oracle of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub struct Lanes([f64; WIDTH]);
@@ -175,3 +178,92 @@ impl SubAssign for Lanes {
 }
 
 operators_with_f64!([] Lanes);
+
+/// One number of each of eight particles.
+#[inline(always)]
+fn each<P>(others: [&P; WIDTH], field: impl Fn(&P) -> f64) -> Lanes {
+    in_every_lane!(|L| field(others[L]))
+}
+
+impl Wide for Lanes {
+    type Double = Self;
+    type Line = Packed;
+
+    #[inline(always)]
+    fn load(memory: &Lanes) -> Self {
+        *memory
+    }
+    #[inline(always)]
+    fn store(self) -> Lanes {
+        self
+    }
+    #[inline(always)]
+    fn widen(self) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn narrow(wide: Self) -> Self {
+        wide
+    }
+
+    #[inline(always)]
+    fn lines<'a>(lines: Lines<'a>) -> &'a [Packed] {
+        lines.double
+    }
+    #[inline(always)]
+    fn separation<const D: usize>(
+        here: &Packed,
+        others: [&Packed; WIDTH],
+        space: PeriodicBox,
+    ) -> Vector<Self, D> {
+        let place = |axis: usize| each(others, |p| p.position[axis]);
+        separation_of(here, [place(0), place(1), place(2)], space)
+    }
+    #[inline(always)]
+    fn read<const D: usize>(
+        here: &Packed,
+        others: [&Packed; WIDTH],
+        space: PeriodicBox,
+    ) -> Reading<Self, D> {
+        reading_of(here, Self::fields(others), space)
+    }
+    #[inline(always)]
+    fn fields(lines: [&Packed; WIDTH]) -> [Self; 8] {
+        let place = |axis: usize| each(lines, |p| p.position[axis]);
+        let speed = |axis: usize| each(lines, |p| p.velocity[axis]);
+        let (density, stress) = (each(lines, |p| p.density), each(lines, |p| p.stress));
+        let [x, y, z] = [place(0), place(1), place(2)];
+        let [u, v, w] = [speed(0), speed(1), speed(2)];
+        [x, y, z, u, v, w, density, stress]
+    }
+    #[inline(always)]
+    fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Self; 4] {
+        let force = |axis: usize| each(others, |a| a.force[axis]);
+        [force(0), force(1), force(2), each(others, |a| a.density)]
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        in_every_lane!(|L| self.0[L].abs())
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        in_every_lane!(|L| self.0[L].copysign(sign.0[L]))
+    }
+    #[inline(always)]
+    fn power_of_two(shifted: Self) -> Self {
+        in_every_lane!(|L| f64::from_bits((shifted.0[L].to_bits() << 52).wrapping_add(1023 << 52)))
+    }
+    #[inline(always)]
+    fn less_than(self, limit: f64) -> u8 {
+        let mut mask = 0;
+        for (lane, x) in self.0.into_iter().enumerate() {
+            mask |= u8::from(x < limit) << lane;
+        }
+        mask
+    }
+    #[inline(always)]
+    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
+        compress_by_table(mask, first, kept);
+    }
+}

@@ -1,15 +1,22 @@
 //! The number: one formula, four uses.
 //!
 //! Precision, differentiation and vectorisation are one axis, the type parameter `T: Scalar` of a law.
-//! `f64` and `f32` run it, [`Lanes`] runs it on eight pairs at once, [`Dual`] differentiates it, and
-//! they nest. Laws are branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the
+//! `f64` runs it, [`Wide`] numbers run it on eight pairs at once, in the registers of whatever
+//! instruction set the machine has and in either [`Precision`], [`Dual`] differentiates it, and they
+//! nest. Laws are branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the
 //! same path. Literals stand on the right of an operator: `q * 0.75 + 1.0`.
 
 mod dual;
 mod lanes;
+mod singles;
+mod wide;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 pub use dual::Dual;
 pub use lanes::{Lanes, WIDTH};
+pub use singles::Singles;
+pub use wide::{Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -33,6 +40,11 @@ pub trait Scalar:
 {
     /// The number `x`, the same in every lane and with derivative zero.
     fn of(x: f64) -> Self;
+    /// A positive number so small that it stands for zero where zero would divide: `x`, or more where
+    /// the precision has nothing as small.
+    fn smallest(x: f64) -> Self {
+        Self::of(x)
+    }
     /// `√x`.
     fn sqrt(self) -> Self;
     /// `eˣ`.

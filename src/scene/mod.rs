@@ -14,6 +14,7 @@ use crate::error::{Error, Result};
 use crate::forcing::Power;
 pub use crate::kernel::KernelName;
 use crate::models::{ModelChoice, Parameters};
+pub use crate::scalar::Precision;
 use crate::sensitivity::Gradient;
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
@@ -33,6 +34,9 @@ pub struct Scene {
     /// Seed of everything random: initial state, forcing and guess each draw from a stream of it.
     #[serde(default)]
     pub seed: u64,
+    /// What pairs of particles are evaluated in.
+    #[serde(default)]
+    pub precision: Precision,
     /// The fluid and its law.
     pub fluid: Fluid,
     /// Where particles start.

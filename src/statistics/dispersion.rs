@@ -16,8 +16,8 @@ pub fn close_pairs<const D: usize>(
     let mut pairs = Vec::new();
     for (i, &here) in positions.iter().enumerate() {
         let from = pairs.len();
-        for &(first, last) in cells.around(cells.coordinates(here)).ranges() {
-            for &row in &cells.row_of_slot[first as usize..last as usize] {
+        for range in cells.around(cells.coordinates(here)).ranges() {
+            for &row in &cells.row_of_slot[range.from as usize..range.to as usize] {
                 let j = row as usize;
                 let apart = space.minimum_image(here - positions[j]).norm_squared();
                 if i < j && apart < reach * reach {

@@ -53,8 +53,8 @@ pub(crate) fn momentum_rates<const D: usize>(world: &World) -> MomentumRates<D> 
     };
     let mut pressed = vec![Vector::zero(); cloud.len()];
     let mut viscous = pressed.clone();
-    model_accelerations(neighbours, (&*inviscid, rooms), &cloud.packed, &mut pressed);
-    model_accelerations(neighbours, (law, rooms), &cloud.packed, &mut viscous);
+    model_accelerations(neighbours, (&*inviscid, rooms), cloud.lines(), &mut pressed);
+    model_accelerations(neighbours, (law, rooms), cloud.lines(), &mut viscous);
     viscous.iter_mut().zip(&pressed).for_each(|(whole, pressed)| *whole -= *pressed);
     let (pressure, viscosity) = (total(&pressed), total(&viscous));
     let forcing = total(&external_forces::<D>(world));

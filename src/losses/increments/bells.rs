@@ -1,8 +1,7 @@
 //! Sums of normal kernels on uniform nodes, in both directions: the hot part of the loss.
 
 use crate::network::{COUNT, exp};
-use crate::scalar::{Lanes, WIDTH};
-use pulp::{Arch, NullaryFnOnce};
+use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use rayon::prelude::*;
 
 /// Samples per parallel task: fixed, so that sums have the same bits for any number of threads.
@@ -40,7 +39,7 @@ impl Nodes {
     pub(super) fn bells(&self, x: &[f64], bandwidth: f64) -> Vec<f64> {
         let part = |x: &[f64]| {
             let mut sum = vec![0.0; self.count + WIDTH];
-            Arch::new().dispatch(Spread { nodes: *self, x, bandwidth, sum: &mut sum });
+            dispatch(Spread { nodes: *self, x, bandwidth, sum: &mut sum });
             sum
         };
         let parts: Vec<Vec<f64>> = x.par_chunks(CHUNK).map(part).collect();
@@ -61,7 +60,7 @@ impl Nodes {
             let mut lanes = [Lanes::ZERO; CHUNK];
             let gather =
                 Gather { nodes, x, bandwidth, weights, slopes: &mut lanes, widths: &mut widths };
-            Arch::new().dispatch(gather);
+            dispatch(gather);
             slopes.iter_mut().zip(lanes).for_each(|(slope, lanes)| *slope = lanes.sum());
             widths.sum()
         };
@@ -74,7 +73,7 @@ impl Nodes {
 /// The stretch of nodes that feel one sample, in whole lanes: the first of them, how many lanes, and
 /// `u = (node − x)/b` of the first eight.
 #[inline(always)]
-fn reach(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, Lanes) {
+fn reach<W: Wide>(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, W) {
     let place = (x - nodes.first) / nodes.spacing;
     let radius = REACH * bandwidth / nodes.spacing;
     // A conversion to an integer stops at its ends.
@@ -82,12 +81,12 @@ fn reach(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, Lanes) {
     let end = (((place + radius).floor() + 1.0).max(0.0) as usize).min(nodes.count);
     let lanes = end.saturating_sub(first).div_ceil(WIDTH);
     let step = nodes.spacing / bandwidth;
-    (first, lanes, COUNT * step + (first as f64 - place) * step)
+    (first, lanes, W::load(&COUNT) * step + (first as f64 - place) * step)
 }
 
 /// `e^{−u²/2}`.
 #[inline(always)]
-fn bell(u: Lanes) -> Lanes {
+fn bell<W: Wide>(u: W) -> W {
     exp(u * u * -0.5)
 }
 
@@ -99,16 +98,16 @@ struct Spread<'a> {
     sum: &'a mut [f64],
 }
 
-impl NullaryFnOnce for Spread<'_> {
+impl Pass for Spread<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let stride = WIDTH as f64 * self.nodes.spacing / self.bandwidth;
         for &x in self.x {
-            let (first, lanes, mut u) = reach(&self.nodes, x, self.bandwidth);
+            let (first, lanes, mut u) = reach::<W>(&self.nodes, x, self.bandwidth);
             for block in self.sum[first..].chunks_exact_mut(WIDTH).take(lanes) {
-                let bells = bell(u).to_array();
+                let bells = bell(u).store().to_array();
                 for (sum, bell) in block.iter_mut().zip(bells) {
                     *sum += bell;
                 }
@@ -131,25 +130,25 @@ struct Gather<'a> {
     widths: &'a mut Lanes,
 }
 
-impl NullaryFnOnce for Gather<'_> {
+impl Pass for Gather<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn run<W: Wide>(self) {
         let stride = WIDTH as f64 * self.nodes.spacing / self.bandwidth;
-        let mut widths = Lanes::ZERO;
+        let mut widths = W::of(0.0);
         for (&x, slope) in self.x.iter().zip(self.slopes) {
-            let (first, lanes, mut u) = reach(&self.nodes, x, self.bandwidth);
-            let mut sum = Lanes::ZERO;
+            let (first, lanes, mut u) = reach::<W>(&self.nodes, x, self.bandwidth);
+            let mut sum = W::of(0.0);
             let (blocks, _) = self.weights[first..].as_chunks::<WIDTH>();
             for block in blocks.iter().take(lanes) {
-                let felt = bell(u) * Lanes::new(*block);
+                let felt = bell(u) * W::load(&Lanes::new(*block));
                 sum += felt * u;
                 widths += felt * (u * u - 1.0);
                 u = u + stride;
             }
-            *slope = sum;
+            *slope = sum.store();
         }
-        *self.widths = widths;
+        *self.widths = widths.store();
     }
 }

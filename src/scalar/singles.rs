@@ -1,0 +1,198 @@
+//! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
+
+use super::wide::{FAR, compress_by_table, unit};
+use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
+use crate::packed::{Packed, PackedAdjoint, PackedSingle};
+use crate::pairs::{Lines, Reading};
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// Far below every single that a pair law makes, and its inverse far from overflow.
+pub(super) const SMALLEST_SINGLE: f64 = 1e-30;
+
+/// [`WIDTH`] singles, as [`Lanes`] are doubles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(32))]
+pub struct Singles(pub(super) [f32; WIDTH]);
+
+/// The same expression in every lane.
+macro_rules! in_every_lane {
+    (|$lane:ident| $value:expr) => {{
+        let mut lanes = [0.0_f32; WIDTH];
+        for ($lane, lane) in lanes.iter_mut().enumerate() {
+            *lane = $value;
+        }
+        Singles(lanes)
+    }};
+}
+
+impl Scalar for Singles {
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        Self([x as f32; WIDTH])
+    }
+    #[inline(always)]
+    fn smallest(x: f64) -> Self {
+        Self::of(x.max(SMALLEST_SINGLE))
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        in_every_lane!(|l| self.0[l].sqrt())
+    }
+    #[inline(always)]
+    fn exp(self) -> Self {
+        in_every_lane!(|l| self.0[l].exp())
+    }
+    #[inline(always)]
+    fn ln(self) -> Self {
+        in_every_lane!(|l| self.0[l].ln())
+    }
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        in_every_lane!(|l| self.0[l].tanh())
+    }
+    #[inline(always)]
+    fn powf(self, y: Self) -> Self {
+        in_every_lane!(|l| self.0[l].powf(y.0[l]))
+    }
+    #[inline(always)]
+    fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        in_every_lane!(|l| if a.0[l] < b.0[l] { yes.0[l] } else { no.0[l] })
+    }
+}
+
+macro_rules! lane_by_lane {
+    ($($operator:ident $method:ident $symbol:tt;)*) => {$(
+        impl $operator for Singles {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, b: Self) -> Self {
+                in_every_lane!(|l| self.0[l] $symbol b.0[l])
+            }
+        }
+    )*};
+}
+
+lane_by_lane! {
+    Add add +;
+    Sub sub -;
+    Mul mul *;
+    Div div /;
+}
+
+impl Neg for Singles {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        in_every_lane!(|l| -self.0[l])
+    }
+}
+
+impl AddAssign for Singles {
+    #[inline(always)]
+    fn add_assign(&mut self, b: Self) {
+        *self = *self + b;
+    }
+}
+
+impl SubAssign for Singles {
+    #[inline(always)]
+    fn sub_assign(&mut self, b: Self) {
+        *self = *self - b;
+    }
+}
+
+operators_with_f64!([] Singles);
+
+impl Wide for Singles {
+    type Double = Lanes;
+    type Line = PackedSingle;
+
+    #[inline(always)]
+    fn load(memory: &Lanes) -> Self {
+        Self::narrow(*memory)
+    }
+    #[inline(always)]
+    fn store(self) -> Lanes {
+        self.widen()
+    }
+    #[inline(always)]
+    fn widen(self) -> Lanes {
+        Lanes::new(self.0.map(f64::from))
+    }
+    #[inline(always)]
+    fn narrow(wide: Lanes) -> Self {
+        let doubles = wide.to_array();
+        in_every_lane!(|l| doubles[l] as f32)
+    }
+
+    #[inline(always)]
+    fn lines<'a>(lines: Lines<'a>) -> &'a [PackedSingle] {
+        lines.single
+    }
+    #[inline(always)]
+    fn separation<const D: usize>(
+        here: &PackedSingle,
+        others: [&PackedSingle; WIDTH],
+        space: PeriodicBox,
+    ) -> Vector<Self, D> {
+        let unit = Self::of(unit(space));
+        let mut separation = Vector::zero();
+        for axis in 0..D {
+            let steps = |l: usize| here.position[axis].wrapping_sub(others[l].position[axis]);
+            separation[axis] = in_every_lane!(|l| steps(l) as f32) * unit;
+        }
+        let density = in_every_lane!(|l| others[l].density);
+        separation[0] = Self::select_less(density, Self::of(0.0), Self::of(FAR), separation[0]);
+        separation
+    }
+    #[inline(always)]
+    fn read<const D: usize>(
+        here: &PackedSingle,
+        others: [&PackedSingle; WIDTH],
+        space: PeriodicBox,
+    ) -> Reading<Self, D> {
+        let mut velocity = Vector::zero();
+        for axis in 0..D {
+            velocity[axis] = in_every_lane!(|l| here.velocity[axis] - others[l].velocity[axis]);
+        }
+        Reading {
+            separation: Self::separation(here, others, space),
+            velocity,
+            rho_i: here.density.into(),
+            density: in_every_lane!(|l| others[l].density.abs()),
+            stress_i: here.stress.into(),
+            stress: in_every_lane!(|l| others[l].stress),
+        }
+    }
+    #[inline(always)]
+    fn fields(lines: [&Packed; WIDTH]) -> [Lanes; 8] {
+        Lanes::fields(lines)
+    }
+    #[inline(always)]
+    fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Lanes; 4] {
+        Lanes::adjoints(others)
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        in_every_lane!(|l| self.0[l].abs())
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        in_every_lane!(|l| self.0[l].copysign(sign.0[l]))
+    }
+    #[inline(always)]
+    fn power_of_two(shifted: Self) -> Self {
+        Self::narrow(Lanes::power_of_two(shifted.widen()))
+    }
+    #[inline(always)]
+    fn less_than(self, limit: f64) -> u8 {
+        self.widen().less_than(limit)
+    }
+    #[inline(always)]
+    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
+        compress_by_table(mask, first, kept);
+    }
+}

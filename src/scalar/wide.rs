@@ -1,0 +1,238 @@
+//! One source for every instruction set and both precisions.
+
+use super::{Lanes, Scalar, WIDTH};
+use crate::packed::{Packed, PackedAdjoint, PackedSingle};
+use crate::pairs::{Lines, Reading};
+use crate::space::PeriodicBox;
+use crate::vector::Vector;
+use pulp::Arch;
+use serde::{Deserialize, Serialize};
+
+/// The numbers in which two particles meet. State, sums, networks and parameters are always doubles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Precision {
+    /// `f64` (default).
+    #[default]
+    Double,
+    /// `f32` on differences of positions that are exact to `L·2⁻³²` and know the nearest image by
+    /// themselves; opposite forces stay opposite to the bit, and are summed as doubles, so that
+    /// momentum is conserved as in double precision.
+    Mixed,
+}
+
+impl Precision {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Double, Self::Mixed];
+
+    /// Its name in scenes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Double => "double",
+            Self::Mixed => "mixed",
+        }
+    }
+}
+
+/// [`WIDTH`] numbers that move together, in registers of one instruction set: what a law is evaluated
+/// at. Memory holds them as [`Lanes`].
+///
+/// No operation is fused or reordered, so that every implementation in doubles gives the bits of
+/// [`Lanes`], the plain one (`tests/kernels.rs`).
+pub trait Wide: Scalar {
+    /// Doubles of the same instruction set.
+    type Double: Wide<Double = Self::Double>;
+    /// A particle as pairs of this precision see it.
+    type Line: Copy + Send + Sync;
+
+    /// Eight doubles from memory, rounded where they must be.
+    fn load(memory: &Lanes) -> Self;
+    /// To memory.
+    fn store(self) -> Lanes;
+    /// As doubles.
+    fn widen(self) -> Self::Double;
+    /// From doubles, rounded where they must be.
+    fn narrow(wide: Self::Double) -> Self;
+
+    /// The lines that this precision reads.
+    fn lines<'a>(lines: Lines<'a>) -> &'a [Self::Line];
+    /// `rᵢⱼ` of one particle and eight others, the nearest image.
+    fn separation<const D: usize>(
+        here: &Self::Line,
+        others: [&Self::Line; WIDTH],
+        space: PeriodicBox,
+    ) -> Vector<Self, D>;
+    /// Everything that the pairs of one particle with eight others depend on.
+    fn read<const D: usize>(
+        here: &Self::Line,
+        others: [&Self::Line; WIDTH],
+        space: PeriodicBox,
+    ) -> Reading<Self, D>;
+    /// The eight numbers of eight lines in doubles, as eight columns.
+    fn fields(lines: [&Packed; WIDTH]) -> [Self::Double; 8];
+    /// `∂L/∂F` and `∂L/∂ρ` of eight particles.
+    fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Self::Double; 4];
+
+    /// `|x|`.
+    fn abs(self) -> Self;
+    /// With the sign of another.
+    fn copysign(self, sign: Self) -> Self;
+    /// `2ᵏ` of a whole number `k`, given as `k + 1.5·2⁵²`; of doubles only.
+    fn power_of_two(shifted: Self) -> Self;
+    /// In which lanes it is less than `limit`, one bit each, the first lane lowest.
+    fn less_than(self, limit: f64) -> u8;
+    /// Writes `first + l` for every lane `l` of a mask, in order, to the front of `kept`.
+    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]);
+
+    /// The sum over the lanes, always paired in the same order.
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        self.store().sum()
+    }
+}
+
+/// Work that is done in the widest registers of the machine.
+pub trait Pass: Sized {
+    /// What comes of it.
+    type Output;
+
+    /// Does it; must be `#[inline(always)]`, and so must all that it calls in its loops.
+    fn run<W: Wide>(self) -> Self::Output;
+}
+
+/// Runs a pass in doubles, by the widest instructions that this machine has.
+#[inline]
+pub fn dispatch<P: Pass>(pass: P) -> P::Output {
+    dispatch_in(Precision::Double, pass)
+}
+
+/// Runs a pass in a given precision, by the widest instructions that this machine has.
+#[inline]
+pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
+    run_on(Arch::new(), precision, pass)
+}
+
+/// Runs a pass with every instruction set that this machine has, the plain one first: all give the
+/// same bits, which is for tests to see.
+pub fn on_every_instruction_set<P: Pass + Clone>(
+    precision: Precision,
+    pass: &P,
+) -> Vec<(&'static str, P::Output)> {
+    let mut found = vec![("plain", run_on(Arch::Scalar, precision, pass.clone()))];
+    #[cfg(target_arch = "x86_64")]
+    {
+        use pulp::x86::{V3, V4};
+        let sets =
+            [("AVX2", V3::try_new().map(Arch::V3)), ("AVX-512", V4::try_new().map(Arch::V4))];
+        for (name, arch) in sets {
+            found.extend(arch.map(|arch| (name, run_on(arch, precision, pass.clone()))));
+        }
+    }
+    found
+}
+
+#[inline]
+fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
+    match arch {
+        #[cfg(target_arch = "x86_64")]
+        Arch::V4(simd) => match precision {
+            Precision::Double => simd.vectorize(On::<super::x86::Lanes512, P>::new(pass)),
+            Precision::Mixed => simd.vectorize(On::<super::x86::SinglesOn512, P>::new(pass)),
+        },
+        #[cfg(target_arch = "x86_64")]
+        Arch::V3(simd) => match precision {
+            Precision::Double => simd.vectorize(On::<super::x86::Lanes256, P>::new(pass)),
+            Precision::Mixed => simd.vectorize(On::<super::x86::SinglesOn256, P>::new(pass)),
+        },
+        plain => match precision {
+            Precision::Double => plain.dispatch(On::<Lanes, P>::new(pass)),
+            Precision::Mixed => plain.dispatch(On::<super::Singles, P>::new(pass)),
+        },
+    }
+}
+
+/// A pass with the numbers it is run on.
+struct On<W, P> {
+    pass: P,
+    numbers: std::marker::PhantomData<W>,
+}
+
+impl<W, P> On<W, P> {
+    #[inline(always)]
+    fn new(pass: P) -> Self {
+        Self { pass, numbers: std::marker::PhantomData }
+    }
+}
+
+impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
+    type Output = P::Output;
+
+    #[inline(always)]
+    fn call(self) -> P::Output {
+        self.pass.run::<W>()
+    }
+}
+
+/// A [`Packed`] reading from its eight fields, for implementations in doubles.
+#[inline(always)]
+pub(super) fn reading_of<W: Wide, const D: usize>(
+    here: &Packed,
+    [x, y, z, u, v, w, density, stress]: [W; 8],
+    space: PeriodicBox,
+) -> Reading<W, D> {
+    let mut velocity = Vector::zero();
+    for (axis, there) in [u, v, w].into_iter().enumerate().take(D) {
+        velocity[axis] = W::of(here.velocity[axis]) - there;
+    }
+    let separation = separation_of(here, [x, y, z], space);
+    Reading { separation, velocity, rho_i: here.density, density, stress_i: here.stress, stress }
+}
+
+/// `rᵢⱼ` from the coordinates of eight particles, for implementations in doubles.
+#[inline(always)]
+pub(super) fn separation_of<W: Wide, const D: usize>(
+    here: &Packed,
+    there: [W; 3],
+    space: PeriodicBox,
+) -> Vector<W, D> {
+    let mut separation = Vector::zero();
+    for (axis, there) in there.into_iter().enumerate().take(D) {
+        separation[axis] = W::of(here.position[axis]) - there;
+    }
+    space.minimum_image(separation)
+}
+
+/// How far away nobody is, in single precision: no kernel reaches there, and no square overflows.
+pub(super) const FAR: f64 = 1e10;
+
+/// What a distance in fixed point is worth.
+#[inline(always)]
+pub(super) fn unit(space: PeriodicBox) -> f64 {
+    space.length / PackedSingle::STEPS
+}
+
+/// For every mask the lanes that are in it, in order.
+const LANES_OF: [[u8; WIDTH]; 256] = {
+    let mut table = [[0; WIDTH]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut count) = (0, 0);
+        while lane < WIDTH {
+            if mask >> lane & 1 == 1 {
+                table[mask][count] = lane as u8;
+                count += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    table
+};
+
+/// [`Wide::compress`] by table.
+#[inline(always)]
+pub(super) fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
+    for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
+        *kept = first + u32::from(lane);
+    }
+}

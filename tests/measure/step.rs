@@ -1,0 +1,282 @@
+//! What a step costs: density and forces against what the arithmetic alone takes and against a plain
+//! loop, the search for neighbours, the whole step; by number of particles, neighbours, precision.
+
+#![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
+#![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
+
+#[path = "common.rs"]
+#[allow(dead_code, reason = "other benchmarks use the rest")]
+mod common;
+
+use bevy_ecs::system::RunSystemOnce;
+use clap::Parser;
+use common::{Run, Took, in_turn};
+use std::hint::black_box;
+use whirls::models::Medium;
+use whirls::pairs::Pair;
+use whirls::scalar::{Lanes, Pass, Precision, WIDTH, Wide, dispatch_in};
+use whirls::space::PeriodicBox;
+use whirls::systems::acceleration::{Law, accelerate};
+use whirls::systems::density::sum_density;
+use whirls::systems::neighbours::{Neighbours, find_neighbours, pack_velocities};
+use whirls::systems::particles::Cloud;
+use whirls::vector::Vector;
+use whirls::{Flow, Scene};
+
+/// Measures what a step costs, and prints it.
+#[derive(Clone, Debug, Parser)]
+struct Arguments {
+    /// A small flow, once: whether it runs, not how fast.
+    #[arg(long)]
+    quick: bool,
+    /// Threads.
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+    /// How often everything is measured.
+    #[arg(long, default_value_t = 9)]
+    rounds: usize,
+    /// Particles along a side, one after another.
+    #[arg(long, value_delimiter = ',', default_value = "16,32,64")]
+    sides: Vec<usize>,
+    /// Smoothing lengths in particle distances: 0.853 has 20 neighbours, 1.2 has 57.
+    #[arg(long, value_delimiter = ',', default_value = "0.853,1.2")]
+    widths: Vec<f64>,
+    /// Skin of the neighbour lists in smoothing lengths [default: the scenes'].
+    #[arg(long)]
+    skin: Option<f64>,
+    /// That Cargo means to measure, and not to test.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+fn main() {
+    let measured = std::env::args().any(|argument| argument == "--bench");
+    let mut arguments =
+        if measured { Arguments::parse() } else { Arguments::parse_from(["step", "--quick"]) };
+    if arguments.quick {
+        (arguments.rounds, arguments.sides) = (1, vec![8]);
+    }
+    rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global().unwrap();
+    println!(
+        "3D, kick-drift-kick, {} threads, medians of {} rounds; nanoseconds\n",
+        arguments.threads, arguments.rounds
+    );
+    println!(
+        "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>8}",
+        "N",
+        "neighbours",
+        "precision",
+        "evaluate",
+        "/pair",
+        "floor",
+        "/floor",
+        "plain",
+        "step",
+        "/pair",
+        "/floor",
+        "search",
+        "bytes/N",
+    );
+    for &side in &arguments.sides {
+        for &width in &arguments.widths {
+            for precision in Precision::ALL {
+                Contestant::new(&arguments, (side, width), precision).print(&arguments);
+            }
+        }
+    }
+    println!(
+        "\nevaluate: density and forces of all particles, lists given, per particle; /pair: per directed \
+         pair within 2h\nfloor: the same formulas on operands in registers, per pair; plain: evaluate of a \
+         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs"
+    );
+}
+
+/// A developed flow of some size.
+struct Contestant {
+    scene: Scene,
+    flow: Flow<3>,
+    particles: usize,
+    neighbours: f64,
+}
+
+/// Steps that are timed together.
+fn steps_of(particles: usize) -> u64 {
+    (400_000 / particles).clamp(2, 40) as u64
+}
+
+impl Contestant {
+    fn new(arguments: &Arguments, (side, width): (usize, f64), precision: Precision) -> Self {
+        let mut scene = Scene::open("inverse-3d", &[]).unwrap();
+        scene.fluid.particles_per_side = side;
+        scene.fluid.smoothing_length = width * scene.fluid.box_length / side as f64;
+        scene.time.step = whirls::systems::verlet::Step::KickDriftKick;
+        scene.time.skin = arguments.skin.unwrap_or(scene.time.skin);
+        scene.precision = precision;
+        let mut flow = Flow::<3>::new(&scene).unwrap();
+        (0..20).for_each(|_| flow.step().unwrap());
+        let neighbours = flow.neighbours_per_particle();
+        Self { particles: scene.particles(), scene, flow, neighbours }
+    }
+
+    fn print(mut self, arguments: &Arguments) {
+        let pairs = self.neighbours * self.particles as f64;
+        let medium = Medium::<3>::of(&self.scene, self.particles);
+        let steps = steps_of(self.particles);
+        let bytes: f64 = self.flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum();
+        let before = self.flow.world().resource::<Neighbours<3>>().rebuilds;
+        let (cell, world) = (std::cell::RefCell::new(self.flow), self.particles);
+        let _ = world;
+        let evaluate = || {
+            let mut flow = cell.borrow_mut();
+            flow.world_mut().run_system_once(sum_density::<3>).unwrap();
+            flow.world_mut().run_system_once(accelerate::<3>).unwrap();
+            0
+        };
+        let search = || {
+            let mut flow = cell.borrow_mut();
+            flow.world_mut().run_system_once(find_neighbours::<3>).unwrap();
+            flow.world_mut().run_system_once(pack_velocities::<true, 3>).unwrap();
+            0
+        };
+        let build = || {
+            cell.borrow_mut().world_mut().resource_mut::<Neighbours<3>>().invalidate();
+            search()
+        };
+        let plain = || {
+            plain_evaluation(cell.borrow_mut().world_mut(), &medium);
+            0
+        };
+        let step = || {
+            (0..steps).for_each(|_| cell.borrow_mut().step().unwrap());
+            0
+        };
+        let floor = || {
+            let rounds = 200_000;
+            black_box(dispatch_in(self.scene.precision, Floor { medium: &medium, rounds }));
+            0
+        };
+        let mut runs: Vec<Run<'_>> = vec![
+            Box::new(floor),
+            Box::new(plain),
+            Box::new(build),
+            Box::new(search),
+            Box::new(step),
+        ];
+        let took = in_turn(arguments.rounds, Box::new(evaluate), &mut runs);
+        drop(runs);
+        let rebuilds = cell.borrow().world().resource::<Neighbours<3>>().rebuilds - before;
+        let built = rebuilds as f64 - (arguments.rounds + 1) as f64;
+        let each = built / ((arguments.rounds + 1) as f64 * steps as f64);
+        let per = |took: &Took, count: f64| took.milliseconds * 1e6 / count;
+        let (n, all) = (self.particles as f64, self.particles as f64 * steps as f64);
+        let own = per(&took[0], pairs);
+        let floor = per(&took[1], 200_000.0 * WIDTH as f64);
+        let whole = per(&took[5], all);
+        let search = per(&took[4], n) + each * (per(&took[3], n) - per(&took[4], n));
+        println!(
+            "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:8.0}",
+            self.particles,
+            self.neighbours,
+            self.scene.precision.name(),
+            per(&took[0], n),
+            own,
+            floor,
+            own / floor,
+            took[2].ratio,
+            whole,
+            whole / self.neighbours,
+            whole / self.neighbours / floor,
+            100.0 * search / whole,
+            bytes,
+        );
+    }
+}
+
+/// Density and force of pairs whose operands are in registers.
+struct Floor<'a> {
+    medium: &'a Medium<3>,
+    rounds: usize,
+}
+
+impl Pass for Floor<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<W: Wide>(self) -> f64 {
+        let h = self.medium.smoothing.h;
+        let space = PeriodicBox { length: 20.0 * h };
+        let spread = |base: f64, by: f64| {
+            let mut lanes = Lanes::ZERO;
+            (0..WIDTH).for_each(|l| lanes.set_lane(l, base + by * l as f64));
+            W::load(&black_box(lanes))
+        };
+        let mut there =
+            Vector([spread(0.1 * h, 0.2 * h), spread(0.2 * h, 0.1 * h), spread(-0.5 * h, 0.1 * h)]);
+        let speed = Vector([spread(0.3, -0.1), spread(-0.2, 0.1), spread(0.1, 0.05)]);
+        let (rho, stress) = (spread(1.0, 0.01), spread(2.0, 0.1));
+        let (here, moves, drift) = (W::of(black_box(0.0)), W::of(black_box(0.1)), W::of(1e-7 * h));
+        let (mut density, mut force) = (W::Double::of(0.0), Vector::<W::Double, 3>::zero());
+        for _ in 0..self.rounds {
+            there[0] += drift;
+            let (mut r, mut v) = (there, speed);
+            for axis in 0..3 {
+                r[axis] = here - there[axis];
+                v[axis] = moves - speed[axis];
+            }
+            let r = space.minimum_image(r);
+            density += self.medium.smoothing.value(r.norm_squared().sqrt()).widen();
+            // Not the same distance, or the compiler would take one root for both.
+            let pair =
+                Pair { r2: r.norm_squared() + drift, approach: v.dot(r), rho_i: rho, rho_j: rho };
+            let along = r * self.medium.strength(&pair, stress + stress);
+            for axis in 0..3 {
+                force[axis] += along[axis].widen();
+            }
+        }
+        density.sum() + force[0].sum() + force[1].sum() + force[2].sum()
+    }
+}
+
+/// Density and forces by a plain loop over single doubles and the same lists.
+fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
+    let neighbours = world.resource::<Neighbours<3>>().clone();
+    let support2 = medium.smoothing.support() * medium.smoothing.support();
+    let _ = world.resource::<Law<3>>();
+    let cloud = world.resource::<Cloud<3>>();
+    let place = |slot: usize| Vector(cloud.packed[slot].position);
+    let mut sums = (Vec::with_capacity(cloud.len()), Vec::with_capacity(cloud.len()));
+    for chunk in neighbours.chunks.iter() {
+        for k in 0..chunk.len() {
+            let here = chunk.first + k;
+            let mut density = medium.smoothing.value(0.0);
+            for &j in chunk.neighbours(k).as_flattened() {
+                let r2 =
+                    neighbours.space.minimum_image(place(here) - place(j as usize)).norm_squared();
+                if r2 < support2 {
+                    density += medium.smoothing.value(r2.sqrt());
+                }
+            }
+            sums.0.push(density * medium.mass);
+        }
+    }
+    for chunk in neighbours.chunks.iter() {
+        for k in 0..chunk.len() {
+            let here = &cloud.packed[chunk.first + k];
+            let mut force = Vector::<f64, 3>::zero();
+            for &j in chunk.neighbours(k).as_flattened() {
+                let there = &cloud.packed[j as usize];
+                let r = Vector(here.position) - Vector(there.position);
+                let r = neighbours.space.minimum_image(r);
+                let r2 = r.norm_squared();
+                if r2 < support2 {
+                    let v = Vector(here.velocity) - Vector(there.velocity);
+                    let (rho_i, rho_j) = (here.density, there.density);
+                    let pair = Pair { r2, approach: v.dot(r), rho_i, rho_j };
+                    force += r * medium.strength(&pair, here.stress + there.stress);
+                }
+            }
+            sums.1.push(force);
+        }
+    }
+    black_box(sums);
+}
