@@ -106,7 +106,7 @@ pub use slope::{CentralSlope, Change, MatrixSlope, PairCotangent, Slope, StoredS
 use slope::{load_directions, load_vector, store_vector};
 pub use window::Window;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::kernel::{KernelName, Smoothing};
 use crate::packed::{PackedAdjoint, PackedSensitivity};
 use crate::pairs::{Batch, Hood};
@@ -114,6 +114,7 @@ use crate::scalar::{Lanes, Wide};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
+use std::any::Any;
 use std::fmt::Debug;
 
 mod physics;
@@ -168,11 +169,7 @@ macro_rules! hierarchy {
                 }
             }
 
-            /// The model of a medium.
-            ///
-            /// # Errors
-            /// [`crate::Error::Input`] for options that make no network.
-            pub fn build<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
+            fn of<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
                 Ok(match self {
                     Self::Physics => Box::new(Physics(medium)),
                     $(Self::$name(options) => Box::new($name::new(medium, options)?),)*
@@ -193,6 +190,40 @@ hierarchy! {
     nn_sum::NnSum = "nn-sum";
     /// [`Node`].
     node::Node = "node";
+}
+
+impl ModelChoice {
+    /// The model of a medium.
+    ///
+    /// Compiled once for each dimension, in this crate: a caller that names `Learner<3>` does not compile
+    /// every pair loop of every model again.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for options that make no network.
+    pub fn build<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
+        let medium: Box<dyn Any> = Box::new(medium);
+        let model: Option<Box<dyn Any>> = match medium.downcast::<Medium<2>>() {
+            Ok(medium) => Some(Box::new(self.in_2d(*medium)?)),
+            Err(medium) => match medium.downcast::<Medium<3>>() {
+                Ok(medium) => Some(Box::new(self.in_3d(*medium)?)),
+                Err(_) => None,
+            },
+        };
+        match model.and_then(|model| model.downcast::<Box<dyn Model<D>>>().ok()) {
+            Some(model) => Ok(*model),
+            None => Err(Error::input("a model", "2 or 3 dimensions", D, "choose one of them")),
+        }
+    }
+
+    #[inline(never)]
+    fn in_2d(&self, medium: Medium<2>) -> Result<Box<dyn Model<2>>> {
+        self.of(medium)
+    }
+
+    #[inline(never)]
+    fn in_3d(&self, medium: Medium<3>) -> Result<Box<dyn Model<3>>> {
+        self.of(medium)
+    }
 }
 
 /// How a particle's stress `A` changes, eight particles at once; by the weights of a network see

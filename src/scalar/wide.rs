@@ -118,12 +118,19 @@ pub fn on_every_instruction_set<P: Pass + Clone>(
     precision: Precision,
     pass: &P,
 ) -> Vec<(&'static str, P::Output)> {
-    let mut found = vec![("plain", run_on(Arch::Scalar, precision, pass.clone()))];
+    let plain = match precision {
+        Precision::Double => pass.clone().run::<Lanes>(),
+        Precision::Mixed => pass.clone().run::<super::Singles>(),
+    };
+    let mut found = vec![("plain", plain)];
     #[cfg(target_arch = "x86_64")]
     {
         use pulp::x86::{V3, V4};
-        let sets =
-            [("AVX2", V3::try_new().map(Arch::V3)), ("AVX-512", V4::try_new().map(Arch::V4))];
+        let sets = [
+            ("SSE2", Some(Arch::Scalar)),
+            ("AVX2", V3::try_new().map(Arch::V3)),
+            ("AVX-512", V4::try_new().map(Arch::V4)),
+        ];
         for (name, arch) in sets {
             found.extend(arch.map(|arch| (name, run_on(arch, precision, pass.clone()))));
         }
@@ -144,6 +151,12 @@ fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
             Precision::Double => simd.vectorize(On::<super::x86::Lanes256, P>::new(pass)),
             Precision::Mixed => simd.vectorize(On::<super::x86::SinglesOn256, P>::new(pass)),
         },
+        #[cfg(target_arch = "x86_64")]
+        _ => match precision {
+            Precision::Double => pass.run::<super::x86::Lanes128>(),
+            Precision::Mixed => pass.run::<super::x86::Singles128>(),
+        },
+        #[cfg(not(target_arch = "x86_64"))]
         plain => match precision {
             Precision::Double => plain.dispatch(On::<Lanes, P>::new(pass)),
             Precision::Mixed => plain.dispatch(On::<super::Singles, P>::new(pass)),
