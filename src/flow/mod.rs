@@ -196,6 +196,15 @@ impl<const D: usize> Flow<D> {
     }
 
     fn must_fit(scene: &Scene) -> Result<()> {
+        if scene.is_unsettled() {
+            let asked = scene.accuracy_asked().unwrap_or_default();
+            return Err(Error::input(
+                format!("scene {}", scene.name),
+                format!("a step chosen for the accuracy {asked} that it asks for"),
+                "none yet",
+                "let `trade::settle` choose one first",
+            ));
+        }
         if scene.dimension == D {
             return Ok(());
         }

@@ -2,6 +2,7 @@
 
 use crate::common::say;
 use clap::Args;
+use whirls::trade::{CALIBRATION, Choice, Trial};
 use whirls::{Result, Scene};
 
 /// Options that every command with a scene takes.
@@ -36,6 +37,24 @@ impl SceneArguments {
         let mut scene = Scene::open(name_or_path, &self.overrides)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
         Ok(scene)
+    }
+}
+
+/// Prints which step was chosen for the accuracy that a scene asks for; to `explain`, also what was tried.
+pub(crate) fn describe_choice(choice: &Choice, explain: bool) {
+    let line = |trial: &Trial| {
+        let Trial { step, dt, cost, error } = trial;
+        let name = step.name();
+        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.1e}") };
+        format!("{name:15} dt {dt:.6}  cost {cost:6.3}  error {held}")
+    };
+    if explain && !choice.trials.is_empty() {
+        say(format!("tried over {CALIBRATION} steps of the scene, cheapest first:"));
+        choice.trials.iter().for_each(|trial| say(format!("  {}", line(trial))));
+    }
+    if let Some(chosen) = choice.scene.chosen {
+        let before = if choice.trials.is_empty() { " before" } else { "" };
+        say(format!("chosen{before}: {chosen}"));
     }
 }
 
