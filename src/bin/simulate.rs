@@ -68,7 +68,8 @@ struct Report {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let mut common = arguments.common.clone();
-    common.overrides.extend(arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}")));
+    let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
+    common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
     conclude(common.open(&arguments.scene).and_then(|mut scene| {
         scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
         if arguments.common.print_scene {

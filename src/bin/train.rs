@@ -21,9 +21,7 @@ use std::process::ExitCode;
 use whirls::learn::Learner;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
-use whirls::run::{
-    Lesson, Progress, Training, TrainingReport, earlier_guess, settle_training,
-};
+use whirls::run::{Lesson, Progress, Training, TrainingReport, earlier_guess, settle_training};
 use whirls::{Error, Result, Scene};
 
 /// Learns the law of a flow from its moving particles, and records truth, search and learned flow.

@@ -7,7 +7,8 @@ mod training;
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use training::{
-    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training, what,
+    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training,
+    what,
 };
 
 use crate::error::{Error, Result};

@@ -177,8 +177,7 @@ mod tests {
         let (scene, state) = small(&[]);
         let mut last = 0.0;
         for accuracy in [1e-1, 1e-3, 1e-4] {
-            let choice =
-                choose(&scene, &state, accuracy).unwrap_or_else(|error| panic!("{error}"));
+            let choice = choose(&scene, &state, accuracy).unwrap_or_else(|error| panic!("{error}"));
             let Some(chosen) = choice.scene.chosen else { panic!("nothing chosen") };
             assert!(chosen.error <= accuracy, "{chosen:?}");
             for trial in &choice.trials {
@@ -186,10 +185,10 @@ mod tests {
                 assert!(dearer || trial.error.is_nan() || trial.error > accuracy, "{trial:?}");
             }
             assert!(chosen.cost >= last, "more accuracy for less");
-            assert_eq!((choice.scene.time.step, choice.scene.time.dt), (
-                chosen.step,
-                Some(chosen.dt)
-            ));
+            assert_eq!(
+                (choice.scene.time.step, choice.scene.time.dt),
+                (chosen.step, Some(chosen.dt))
+            );
             last = chosen.cost;
         }
     }
@@ -227,7 +226,8 @@ mod tests {
     #[test]
     fn no_flow_runs_before_its_step_is_chosen() {
         let (scene, state) = small(&["accuracy=1e-2"]);
-        let refused = Flow::from_state(&scene, &state).map_or_else(|e| e.to_string(), |_| "".into());
+        let refused =
+            Flow::from_state(&scene, &state).map_or_else(|e| e.to_string(), |_| "".into());
         assert!(refused.contains("trade::settle") && refused.contains("0.01"), "{refused}");
     }
 
