@@ -401,13 +401,24 @@ fn explain_prints_what_runs_and_how_much_memory_it_takes() {
     for (command, tangents) in [("train", true), ("simulate", false)] {
         let done = place.run(command, &["small.toml", "--explain"]);
         assert_eq!(done.code, Some(0), "{}", done.err);
-        for part in
-            ["sum_density", "accelerate", "kick", "drift", "watch", "bytes per particle", "in all"]
-        {
+        let systems = ["one step runs", "sum_density", "accelerate", "kick", "drift", "watch"];
+        let columns =
+            ["bytes per particle", "Position", "packed", "in all", "each step adds", "row of"];
+        for part in systems.into_iter().chain(columns) {
             assert!(done.out.contains(part), "no {part}: {}", done.out);
         }
         assert_eq!(done.out.contains("tangent"), tangents, "{}", done.out);
     }
+    let adjoint = ["--set", "learn.optimiser={kind='adam',rate=0.1}", "--explain", "--json"];
+    let found = place.json("train", &[&["small.toml"], &adjoint[..]].concat());
+    let search = &found[0];
+    assert_eq!((&search["about"], found.as_array().unwrap().len()), (&"the search".into(), 1));
+    let columns = |key: &str| -> Vec<String> {
+        let all = search[key].as_array().unwrap().iter();
+        all.map(|held| format!("{}: {}", held["part"], held["name"])).collect()
+    };
+    let tape = |column: &String| column.contains("tape");
+    assert!(columns("held").iter().any(tape) && columns("each_step").iter().any(tape), "{found}");
     assert!(!place.path("recordings").exists(), "nothing is recorded");
 }
 

@@ -16,7 +16,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use whirls::flow::State;
 use whirls::recording::{self, Recording};
-use whirls::run::{begin_recording, run_info, run_recorded};
+use whirls::run::{Requirements, begin_recording, run_info, run_recorded};
 use whirls::scene::Chosen;
 use whirls::statistics::conservation;
 use whirls::trade::settle;
@@ -91,7 +91,8 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let mut flow = Flow::<D>::from_state(scene, &start(scene)?)?;
     if arguments.common.explain {
         flow.start()?;
-        return explain(&mut flow);
+        let found = Requirements::of_flow(scene, &mut flow, true);
+        return explain(&[found], arguments.common.json);
     }
     let steps = scene.time.steps;
     let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));

@@ -13,7 +13,7 @@ use scene::{SceneArguments, describe_choice, explain};
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use whirls::run::write;
+use whirls::run::{Requirements, write};
 use whirls::trade::{Plan, price_flows, price_gradients, report, settle};
 use whirls::truth::Truth;
 use whirls::{Flow, Result, Scene};
@@ -56,7 +56,8 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     if arguments.common.explain {
         let mut flow = Flow::<D>::new(scene)?;
         flow.start()?;
-        return explain(&mut flow);
+        let found = Requirements::of_flow(scene, &mut flow, false);
+        return explain(&[found], arguments.common.json);
     }
     let plan = Plan { steps: arguments.steps, rounds: usize::from(arguments.rounds) };
     let (after, frames) = scene.learn.as_ref().map_or((0, 0), |learn| (learn.after, learn.frames));

@@ -21,7 +21,9 @@ use std::process::ExitCode;
 use whirls::learn::Learner;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
-use whirls::run::{Lesson, Progress, Training, TrainingReport, earlier_guess, settle_training};
+use whirls::run::{
+    Lesson, Progress, Requirements, Training, TrainingReport, earlier_guess, settle_training,
+};
 use whirls::{Error, Result, Scene};
 
 /// Learns the law of a flow from its moving particles, and records truth, search and learned flow.
@@ -87,8 +89,8 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     };
     describe_choice(&choice, arguments.common.explain);
     if arguments.common.explain {
-        learner.evaluate(&guess, 1)?;
-        return explain(learner.flow_mut());
+        let found = Requirements::of_training((scene, &lesson), (&mut learner, &guess))?;
+        return explain(&found, arguments.common.json);
     }
     if arguments.check_gradient || arguments.check_coupling {
         // The memory of its sensitivities is wanted for others.

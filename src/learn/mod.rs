@@ -113,6 +113,22 @@ impl<const D: usize> Learner<D> {
         Ok(learner)
     }
 
+    /// Calls `work` with this learner and, where there is one, with the one that searches before, and with
+    /// what they are.
+    ///
+    /// # Errors
+    /// Those of `work`.
+    pub fn each(
+        &mut self,
+        work: &mut dyn FnMut(&'static str, &mut Self) -> Result<()>,
+    ) -> Result<()> {
+        work("the search", self)?;
+        match &mut self.warm_up {
+            Some(before) => work("the warm-up", before),
+            None => Ok(()),
+        }
+    }
+
     /// The flow that predicts.
     pub fn flow_mut(&mut self) -> &mut Flow<D> {
         &mut self.flow

@@ -2,10 +2,12 @@
 
 mod evaluated;
 mod reproduction;
+mod requirements;
 mod training;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
+pub use requirements::Requirements;
 pub use training::{
     Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training,
     what,

@@ -1,7 +1,8 @@
 //! What commands with a scene share: options, explanation.
 
-use crate::common::say;
+use crate::common::{say, say_json};
 use clap::Args;
+use whirls::run::Requirements;
 use whirls::trade::{CALIBRATION, Choice, Trial};
 use whirls::{Result, Scene};
 
@@ -58,13 +59,9 @@ pub(crate) fn describe_choice(choice: &Choice, explain: bool) {
     }
 }
 
-/// Prints the systems of one step, in order, and the memory of one particle, by part.
-pub(crate) fn explain<const D: usize>(flow: &mut whirls::Flow<D>) -> Result<()> {
-    say("one step runs, in this order:");
-    flow.systems().iter().for_each(|system| say(format!("  {system}")));
-    say("bytes per particle:");
-    let parts = flow.bytes_per_particle();
-    parts.iter().for_each(|(part, bytes)| say(format!("  {part:16} {bytes:8.1}")));
-    say(format!("  {:16} {:8.1}", "in all", parts.iter().map(|(_, bytes)| bytes).sum::<f64>()));
-    Ok(())
+/// Prints what a scene requires: the systems in order, the columns with their bytes per particle, and what
+/// each step adds.
+pub(crate) fn explain(requirements: &[Requirements], json: bool) -> Result<()> {
+    requirements.iter().flat_map(Requirements::lines).for_each(say);
+    if json { say_json(&requirements) } else { Ok(()) }
 }
