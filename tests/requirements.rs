@@ -13,7 +13,7 @@ use whirls::learn::Learner;
 use whirls::models::Parameter;
 use whirls::recording::{Frame, Recorder};
 use whirls::run::{Lesson, Requirements};
-use whirls::scene::{Forcing, SHIPPED, Shipped};
+use whirls::scene::{Forcing, Optimiser, SHIPPED, Shipped};
 use whirls::sensitivity::{Coupling, Gradient, Storage};
 use whirls::{Flow, Scene};
 
@@ -51,54 +51,60 @@ fn simulation<const D: usize>(scene: &Scene) -> Requirements {
     Requirements::of_flow(scene, &mut flow, true)
 }
 
+/// A system's tangent, where sensitivities are carried.
+fn tangent(way: Way, name: &'static str) -> Vec<&'static str> {
+    if way == Way::Forward { vec![name] } else { Vec::new() }
+}
+
+/// Systems that pack what a force evaluation, or the loss, sees.
+fn packed(way: Way) -> Vec<&'static str> {
+    [vec!["neighbours::pack_velocities"], tangent(way, "verlet::pack_sensitivities")].concat()
+}
+
+/// Systems of a force evaluation.
+fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
+    let forcing = match scene.forcing {
+        Forcing::None => None,
+        Forcing::Deterministic { .. } => {
+            Some(("forcing::force_deterministically", "forcing::force_deterministically_tangent"))
+        }
+        Forcing::Stochastic { .. } => {
+            Some(("forcing::force_stochastically", "forcing::force_stochastically_tangent"))
+        }
+    };
+    let mut all = vec!["acceleration::accelerate"];
+    all.extend(tangent(way, "acceleration::accelerate_tangent"));
+    if let Some((force, its_tangent)) = forcing {
+        all.push(force);
+        all.extend(tangent(way, its_tangent));
+    }
+    all.push("acceleration::write_acceleration");
+    all.extend(tangent(way, "verlet::write_acceleration_tangent"));
+    if way == Way::Adjoint {
+        all.push("tape::record_evaluation");
+    }
+    all
+}
+
 /// Systems of one step, written down once for all kinds of scenes.
 fn step_of(scene: &Scene, way: Way) -> Vec<&'static str> {
-    let tangent = |name| if way == Way::Forward { vec![name] } else { Vec::new() };
-    let packed = || [vec!["neighbours::pack_velocities"], tangent("verlet::pack_sensitivities")];
-    let forces = || {
-        let forcing = match scene.forcing {
-            Forcing::None => Vec::new(),
-            Forcing::Deterministic { .. } => [
-                vec!["forcing::force_deterministically"],
-                tangent("forcing::force_deterministically_tangent"),
-            ]
-            .concat(),
-            Forcing::Stochastic { .. } => [
-                vec!["forcing::force_stochastically"],
-                tangent("forcing::force_stochastically_tangent"),
-            ]
-            .concat(),
-        };
-        let kept = if way == Way::Adjoint { vec!["tape::record_evaluation"] } else { Vec::new() };
-        [
-            vec!["acceleration::accelerate"],
-            tangent("acceleration::accelerate_tangent"),
-            forcing,
-            vec!["acceleration::write_acceleration"],
-            tangent("verlet::write_acceleration_tangent"),
-            kept,
-        ]
-        .concat()
-    };
     let mut all = Vec::new();
     if scene.time.step.refreshes() {
-        all.extend([packed().concat(), forces()].concat());
+        all.extend([packed(way), forces_of(scene, way)].concat());
     }
-    all.extend([vec!["verlet::kick"], tangent("verlet::kick_tangent")].concat());
-    all.extend([vec!["verlet::drift"], tangent("verlet::drift_tangent")].concat());
+    all.extend([vec!["verlet::kick"], tangent(way, "verlet::kick_tangent")].concat());
+    all.extend([vec!["verlet::drift"], tangent(way, "verlet::drift_tangent")].concat());
     all.push("neighbours::find_neighbours");
-    all.extend(packed().concat());
+    all.extend(packed(way));
     all.extend(["density::sum_density", "density::write_density"]);
-    all.extend(tangent("density::sum_density_tangent"));
-    all.extend(forces());
+    all.extend(tangent(way, "density::sum_density_tangent"));
+    all.extend(forces_of(scene, way));
     all.extend(["verlet::kick", "verlet::tick"]);
-    all.extend(tangent("verlet::kick_tangent"));
+    all.extend(tangent(way, "verlet::kick_tangent"));
     match way {
         Way::Simulate => {}
-        Way::Forward => all.extend([packed().concat(), vec!["loss::accumulate_loss"]].concat()),
-        Way::Adjoint => {
-            all.extend([packed().concat(), vec!["loss::accumulate_loss_adjoint"]].concat());
-        }
+        Way::Forward => all.extend([packed(way), vec!["loss::accumulate_loss"]].concat()),
+        Way::Adjoint => all.extend([packed(way), vec!["loss::accumulate_loss_adjoint"]].concat()),
     }
     all.push("watch::watch");
     all
@@ -227,7 +233,8 @@ fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
     let name = |part: &str, name: &str| format!("{part}: {name}");
     let mut names: Vec<String> = found.iter().map(|held| name(held.part, &held.name)).collect();
     let mut wanted: Vec<String> = expected.iter().map(|(part, own, _)| name(part, own)).collect();
-    (names.sort_unstable(), wanted.sort_unstable());
+    names.sort_unstable();
+    wanted.sort_unstable();
     assert_eq!(names, wanted, "{about}");
     for (part, name, [least, most]) in expected {
         let held = found.iter().find(|held| held.part == *part && held.name == *name).unwrap();
@@ -239,58 +246,59 @@ fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
 /// The search or the warm-up of a shipped scene requires what its scene says, and no more.
 fn assert_training(name: &str, scene: &Scene, found: &Requirements) {
     let learn = scene.learn.as_ref().unwrap();
-    let second_order = learn.loss.kl <= 0.0
-        && matches!(learn.optimiser, whirls::scene::Optimiser::LevenbergMarquardt { .. });
+    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
     let way = if second_order { Way::Forward } else { Way::Adjoint };
     let about = format!("{} of {name}, {way:?}", found.about);
     assert_eq!(found.systems("one step"), step_of(scene, way), "{about}");
-    let back: Vec<&str> = if way == Way::Adjoint { way_back_of(scene) } else { Vec::new() };
+    let back = if way == Way::Adjoint { way_back_of(scene) } else { Vec::new() };
     assert_eq!(found.systems("the way back through one step"), back, "{about}");
 
-    let kind = learn.model.kind();
-    let in_the_force = ["node", "nn-sum", "rot-inv", "grad-p"].contains(&kind);
-    let mut expected = columns_of_a_flow(scene);
-    expected.extend(columns_of_observations(scene));
-    let columns = if scene.dimension == 2 {
-        whirls::learn::columns::<2>(scene, learn).unwrap()
-    } else {
-        whirls::learn::columns::<3>(scene, learn).unwrap()
-    };
-    let vector = 8.0 * scene.dimension as f64;
-    match way {
-        Way::Forward => {
-            let weights = if in_the_force { columns.len() } else { 0 };
-            expected.extend(columns_of_sensitivities(scene.dimension, columns.len(), weights));
-        }
-        _ => {
-            expected.extend(columns_of_an_adjoint(scene, in_the_force));
-            let step: f64 = found.part("tape, a step").unwrap();
-            let all = learn.frames as f64 * step;
-            expected.push(exactly("tape", &format!("{} steps", learn.frames), all));
-        }
-    }
-    expected.push(exactly("search", "first state", 2.0 * vector));
-    let mut each_step = Vec::new();
-    if way == Way::Adjoint {
-        // The paper's step evaluates twice.
-        each_step.push(exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)));
-        let [least, most] = lists(scene).0;
-        let bytes = [2.0 * least, 2.0 * most];
-        each_step.push(("tape, a step", "lists of each evaluation".to_owned(), bytes));
-        each_step.push(exactly("tape, a step", "loss by each observed state", 2.0 * vector));
-    }
+    let (mut held, mut each_step) = columns_of_a_gradient(scene, way, found);
     if found.about == "the search" {
-        let states = learn.frames as f64 + 1.0;
-        expected.push(exactly("truth", "states", states * 2.0 * vector));
-        expected.push(exactly("truth", "densities", states * 8.0));
-        let most = (9 * 56 + 2 * 64) as f64;
-        expected.push(exactly("recording", "frames on their way, at most", most));
+        let (states, vector) = (learn.frames as f64 + 1.0, 8.0 * scene.dimension as f64);
+        held.push(exactly("truth", "states", states * 2.0 * vector));
+        held.push(exactly("truth", "densities", states * 8.0));
+        held.push(exactly("recording", "frames on their way, at most", 9.0 * 56.0 + 2.0 * 64.0));
         for topic in ["/truth/particles", "/learned/particles"] {
             each_step.push(exactly("recording, a step", &format!("row of {topic}"), 64.0));
         }
     }
-    assert_columns(&about, &found.held, &expected);
+    assert_columns(&about, &found.held, &held);
     assert_columns(&about, &found.each_step, &each_step);
+}
+
+/// Columns of a flow with its gradient, and what each step adds to a tape.
+fn columns_of_a_gradient(
+    scene: &Scene,
+    way: Way,
+    found: &Requirements,
+) -> (Vec<Expected>, Vec<Expected>) {
+    let (learn, vector) = (scene.learn.as_ref().unwrap(), 8.0 * scene.dimension as f64);
+    let kind = learn.model.kind();
+    let in_the_force = ["node", "nn-sum", "rot-inv", "grad-p"].contains(&kind);
+    let mut held = [columns_of_a_flow(scene), columns_of_observations(scene)].concat();
+    held.push(exactly("search", "first state", 2.0 * vector));
+    if way == Way::Forward {
+        let learned = match scene.dimension {
+            2 => whirls::learn::columns::<2>(scene, learn).unwrap().len(),
+            _ => whirls::learn::columns::<3>(scene, learn).unwrap().len(),
+        };
+        let weights = if in_the_force { learned } else { 0 };
+        held.extend(columns_of_sensitivities(scene.dimension, learned, weights));
+        return (held, Vec::new());
+    }
+    held.extend(columns_of_an_adjoint(scene, in_the_force));
+    let all = learn.frames as f64 * found.part("tape, a step").unwrap();
+    held.push(exactly("tape", &format!("{} steps", learn.frames), all));
+    // The paper's step evaluates twice.
+    let [least, most] = lists(scene).0;
+    let lists = "lists of each evaluation".to_owned();
+    let each_step = vec![
+        exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)),
+        ("tape, a step", lists, [2.0 * least, 2.0 * most]),
+        exactly("tape, a step", "loss by each observed state", 2.0 * vector),
+    ];
+    (held, each_step)
 }
 
 fn assert_shipped<const D: usize>(name: &str, scene: &Scene) {

@@ -172,19 +172,17 @@ pub fn truth_from_recording<const D: usize>(
         });
         truth.densities.push(frame.densities);
     }
-    for pair in truth.states.windows(2) {
-        let apart = pair[1].time - pair[0].time;
-        // Recorded times are whole nanoseconds.
-        if (apart - scene.observed_interval()).abs() > 2e-9 {
-            let (apart, every) = (scene.observed_interval(), scene.observed_every());
-            let steps = match every {
-                1 => "the scene's time step".to_owned(),
-                _ => format!("{every} of the scene's time steps"),
-            };
-            let expected = format!("frames {apart} apart ({steps})");
-            let remedy = "set time.dt, or learn.every, to the time between frames";
-            return refuse(expected, apart.to_string(), remedy);
-        }
+    let mut apart = truth.states.windows(2).map(|pair| pair[1].time - pair[0].time);
+    let wanted = scene.observed_interval();
+    // Recorded times are whole nanoseconds.
+    if let Some(apart) = apart.find(|apart| (apart - wanted).abs() > 2e-9) {
+        let steps = match scene.observed_every() {
+            1 => "the scene's time step".to_owned(),
+            every => format!("{every} of the scene's time steps"),
+        };
+        let expected = format!("frames {wanted} apart ({steps})");
+        let remedy = "set time.dt, or learn.every, to the time between frames";
+        return refuse(expected, apart.to_string(), remedy);
     }
     Ok(truth)
 }
