@@ -12,7 +12,7 @@ use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
 use std::sync::Arc;
 
-/// A true flow: states one step apart, with densities.
+/// A true flow: states a scene's [`Scene::observed_every`] steps apart, with densities.
 #[derive(Clone, Debug, Default)]
 pub struct Truth<const D: usize> {
     /// States; the prediction starts from the first.
@@ -22,7 +22,8 @@ pub struct Truth<const D: usize> {
 }
 
 impl<const D: usize> Truth<D> {
-    /// Runs the scene's own law for `after` steps, then keeps `frames + 1` states.
+    /// Runs the scene's own law for `after` steps, then keeps `frames + 1` states, as many steps apart as
+    /// the scene observes.
     ///
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
@@ -35,7 +36,7 @@ impl<const D: usize> Truth<D> {
         // The force that kick-drift-kick carries is no data: the observed flow starts without it.
         let from = flow.state();
         flow.reset(&from);
-        Self::kept(flow, frames)
+        Self::kept(flow, (frames, scene.observed_every()))
     }
 
     /// Runs the scene's own law from a state, and keeps `frames + 1` states.
@@ -43,15 +44,15 @@ impl<const D: usize> Truth<D> {
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
     pub fn from_state(scene: &Scene, state: &State<D>, frames: usize) -> Result<Self> {
-        Self::kept(Flow::from_state(scene, state)?, frames)
+        Self::kept(Flow::from_state(scene, state)?, (frames, scene.observed_every()))
     }
 
-    fn kept(mut flow: Flow<D>, frames: usize) -> Result<Self> {
+    fn kept(mut flow: Flow<D>, (frames, every): (usize, u64)) -> Result<Self> {
         flow.start()?;
         let mut truth = Self::default();
         truth.keep(&mut flow);
         for _ in 0..frames {
-            flow.step()?;
+            (0..every).try_for_each(|_| flow.step())?;
             truth.keep(&mut flow);
         }
         Ok(truth)
@@ -91,7 +92,7 @@ impl<const D: usize> Truth<D> {
             let increments =
                 || IncrementDensities::new(&self.increments(k + 1), learn.increments.nodes);
             Ok(Observation {
-                step: k as u64 + 1,
+                step: (k as u64 + 1) * learn.every,
                 positions: state.positions.clone(),
                 velocities: state.velocities.clone(),
                 field: if learn.loss.field > 0.0 {
@@ -109,7 +110,7 @@ impl<const D: usize> Truth<D> {
             trajectory: learn.loss.trajectory,
             field: learn.loss.field,
             mesh,
-            kl: learn.statistical_weight(scene.dt()),
+            kl: learn.statistical_weight(learn.every as f64 * scene.dt()),
             times: learn.increments.times,
             start: Arc::new(self.states[0].velocities.clone()),
         })
@@ -142,7 +143,7 @@ pub fn statistical_floor<const D: usize>(
             sum += sampling_floor(&components, learn.increments.nodes)?;
         }
     }
-    Ok(learn.statistical_weight(scene.dt()) * sum)
+    Ok(learn.statistical_weight(learn.every as f64 * scene.dt()) * sum)
 }
 
 /// The smoothed velocity field of a state on a mesh, Eq. (13).

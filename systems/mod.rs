@@ -235,7 +235,7 @@ fn add_density<const PREDICTED: bool, const D: usize>(schedule: &mut Schedule, n
 fn add_forces<const D: usize>(
     schedule: &mut Schedule,
     needs: Needs,
-    [pairs, external, back]: [impl SystemSet + Clone; 3],
+    [pairs, external, back]: [impl SystemSet; 3],
 ) {
     let accelerate = (acceleration::accelerate::<D>, acceleration::accelerate_tangent::<D>);
     with_tangent(schedule, needs, accelerate, pairs);
@@ -252,10 +252,13 @@ fn add_forces<const D: usize>(
             with_tangent(schedule, needs, (force, tangent), external);
         }
     }
-    let write = (acceleration::write_acceleration::<D>, verlet::write_acceleration_tangent::<D>);
-    with_tangent(schedule, needs, write, back.clone());
+    let write = acceleration::write_acceleration::<D>;
+    let tangent = verlet::write_acceleration_tangent::<D>;
     if needs.adjoint {
-        schedule.add_systems(tape::record_evaluation::<D>.in_set(back));
+        let write = (write, tape::record_evaluation::<D>).chain();
+        with_tangent(schedule, needs, (write, tangent), back);
+    } else {
+        with_tangent(schedule, needs, (write, tangent), back);
     }
 }
 

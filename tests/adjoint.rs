@@ -6,7 +6,7 @@
 use whirls::flow::{Differentiation, Flow, Snapshot};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
-use whirls::scene::{Scene, Weights};
+use whirls::scene::{Optimiser, Scene, Weights};
 use whirls::sensitivity::{AdjointGradient, Coupling, Gradient, Storage, adjoint_gradient};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
@@ -111,6 +111,43 @@ fn checkpoints_give_the_bits_of_full_storage() {
         for snapshots in [1, 2, 3, 20] {
             let (_, few, _) = both::<3>(&scene, Storage::Checkpoints(snapshots));
             assert_eq!(everything.map(f64::to_bits), few.map(f64::to_bits), "{step:?} {snapshots}");
+        }
+    }
+}
+
+/// What is observed every third step is what is observed every step, less two of three.
+#[test]
+fn frames_that_are_steps_apart_are_states_of_the_same_flow_with_the_same_gradients_both_ways() {
+    for loss in [(1.0, 0.0), (0.3, 2.0)] {
+        let (trajectory, field) = loss;
+        let mut often =
+            scene(3, Step::KickDriftKick, "paper", Weights { trajectory, field, kl: 0.0 });
+        let mut seldom = often.clone();
+        if let (Some(often), Some(seldom)) = (&mut often.learn, &mut seldom.learn) {
+            (often.frames, seldom.frames, seldom.every) = (6, 2, 3);
+        }
+        let [all, some] = [(&often, 6), (&seldom, 2)]
+            .map(|(scene, frames)| Truth::<3>::generate(scene, (4, frames)).unwrap());
+        let third = all.states.iter().step_by(3).cloned().collect::<Vec<_>>();
+        assert_eq!(some.states, third);
+        let steps: Vec<u64> = {
+            let observed = some.observations(&seldom, &seldom.learn.clone().unwrap()).unwrap();
+            observed.frames.iter().map(|frame| frame.step).collect()
+        };
+        assert_eq!(steps, [3, 6]);
+        let gradients = [Gradient::Forward, Gradient::Adjoint].map(|gradient| {
+            let mut scene = seldom.clone();
+            if let Some(learn) = &mut scene.learn {
+                learn.optimiser = Optimiser::Adam { rate: 0.1, decay: 1.0 };
+                learn.gradient = gradient;
+            }
+            let mut learner = Learner::of_truth(&scene, &some).unwrap();
+            learner.evaluate(&[8.0, 0.7, 2.6, 5.0], 2).unwrap()
+        });
+        let [forward, adjoint] = gradients;
+        assert!((forward.loss - adjoint.loss).abs() <= 1e-13 * forward.loss);
+        for (a, b) in forward.gradient.iter().zip(&adjoint.gradient) {
+            assert!((a - b).abs() <= 1e-10 * a.abs(), "{forward:?} {adjoint:?}");
         }
     }
 }

@@ -83,6 +83,145 @@ fn simulate_takes_the_cheapest_step_of_the_accuracy_asked_for() {
     place.refuses("simulate", &["small.toml", "--accuracy", "1e-15"], &["at best", "ask for less"]);
 }
 
+/// The small scene asking for something, as a file of its own.
+fn asking(place: &Place, what: &str) -> &'static str {
+    std::fs::write(place.path("asking.toml"), format!("{what}\n{SMALL}")).unwrap();
+    "asking.toml"
+}
+
+#[test]
+fn a_scene_that_asks_for_accuracy_runs_in_the_step_chosen_for_it_and_its_recording_says_so() {
+    for (what, asked) in [("accuracy = 5e-4", 5e-4), ("speed = 'balanced'", 2e-3)] {
+        let place = Place::new();
+        let scene = asking(&place, what);
+        let flow = place.json("simulate", &[scene, "--json", "--record", "flow.mcap"]);
+        let learned = place.json("train", &[scene, "--json", "--record", "learned.mcap"]);
+        assert_eq!(flow["chosen"], learned["chosen"], "equal scenes choose equally");
+        assert_eq!(flow["chosen"]["accuracy"].as_f64(), Some(asked));
+        assert!(flow["chosen"]["error"].as_f64().unwrap() <= asked, "{flow}");
+        for name in ["flow.mcap", "learned.mcap"] {
+            let recording = place.recording(name);
+            let run = recording.run();
+            let said = &run.metadata["chosen"];
+            assert!(said.contains("asked for") && said.contains("kick-drift-kick"), "{said}");
+            assert_eq!(run.metadata["accuracy"].parse(), Ok(asked));
+            let log = recording.logs().unwrap();
+            assert_eq!(log[0].text, *said, "first in the log");
+            // What stands in the recording is the scene that ran, and runs again as it stands.
+            let ran = whirls::Scene::parse(&run.scene_toml, "recorded", &[]).unwrap();
+            assert_eq!(ran.accuracy_asked(), Some(asked));
+            let chosen = serde_json::to_value(ran.chosen.unwrap()).unwrap();
+            assert_eq!(chosen, flow["chosen"]);
+            std::fs::write(place.path("ran.toml"), &run.scene_toml).unwrap();
+            let command = if name == "flow.mcap" { "simulate" } else { "train" };
+            let again = place.json(command, &["ran.toml", "--json", "--record", "again.mcap"]);
+            assert_eq!(again["chosen"], flow["chosen"]);
+            let bytes = [name, "again.mcap"].map(|name| std::fs::read(place.path(name)).unwrap());
+            assert!(bytes[0] == bytes[1], "{what}: equal bytes of {name}");
+        }
+    }
+}
+
+#[test]
+fn a_training_in_a_chosen_step_observes_the_same_times() {
+    let place = Place::new();
+    place.json("train", &["small.toml", "--json", "--record", "plain.mcap"]);
+    let options = ["small.toml", "--json", "--set", "accuracy=5e-4", "--record"];
+    let report = place.json("train", &[&options[..], &["asked.mcap"]].concat());
+    let (plain, asked) = (place.recording("plain.mcap"), place.recording("asked.mcap"));
+    for flow in [Flow::Truth, Flow::Learned] {
+        assert_eq!(plain.frame_times(flow), asked.frame_times(flow));
+    }
+    assert!(report["steps"].as_u64().unwrap() > 4, "more steps than frames: {report}");
+    for (name, truth) in [("c", 10.0), ("alpha", 1.0), ("beta", 2.0), ("gamma", 7.0)] {
+        let learned = report["parameters"][name].as_f64().unwrap();
+        assert!((learned - truth).abs() < 1e-6, "{name}: {learned}");
+    }
+    place.json("train", &[&options[..], &["twice.mcap", "--threads", "1"]].concat());
+    let bytes = ["asked.mcap", "twice.mcap"].map(|name| std::fs::read(place.path(name)).unwrap());
+    assert!(bytes[0] == bytes[1], "equal runs choose equally, for any number of threads");
+}
+
+/// Data have their times: a step is chosen that divides them.
+#[test]
+fn a_training_from_data_chooses_a_step_that_meets_the_data_at_their_times() {
+    let place = Place::new();
+    place.json("simulate", &["small.toml", "--json", "--record", "flow.mcap"]);
+    let from = ["small.toml", "--truth", "flow.mcap", "--set", "learn.after=0"];
+    let ask = ["--set", "accuracy=5e-4", "--json", "--record", "learned.mcap"];
+    let report = place.json("train", &[&from[..], &ask[..]].concat());
+    assert!(report["chosen"]["error"].as_f64().unwrap() <= 5e-4, "{report}");
+    let (data, learned) = (place.recording("flow.mcap"), place.recording("learned.mcap"));
+    let times = data.frame_times(Flow::Truth);
+    assert_eq!(learned.frame_times(Flow::Learned), times[..5]);
+    let ran = whirls::Scene::parse(&learned.run().scene_toml, "recorded", &[]).unwrap();
+    assert!(ran.observed_every() > 1 && ran.time.steps == 6 * ran.observed_every(), "{ran:?}");
+    // The same for frames that are three steps apart.
+    let seldom = [&from[..], &["--set", "learn.every=3", "--set", "learn.frames=1"]].concat();
+    place.refuses("train", &seldom, &["3 of the scene's time steps", "learn.every"]);
+    let sparse = ["small.toml", "--json", "--set", "record.every=3", "--record", "sparse.mcap"];
+    place.json("simulate", &sparse);
+    let from = ["small.toml", "--truth", "sparse.mcap", "--set", "learn.every=3", "--set"];
+    let from = [&from[..], &["learn.frames=1", "--set"]].concat();
+    let report = place.json("train", &[&from[..], &["learn.after=3", "--json"]].concat());
+    assert_eq!(report["steps"], Value::from(3));
+    place.refuses("train", &[&from[..], &["learn.after=2"]].concat(), &["multiple of learn.every"]);
+}
+
+#[test]
+fn explain_shows_every_step_that_was_tried_and_nothing_is_chosen_below_what_was_asked() {
+    let place = Place::new();
+    let scene = asking(&place, "accuracy = 5e-4");
+    for command in ["simulate", "train", "trade"] {
+        let done = place.run(command, &[scene, "--explain"]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        let lines: Vec<&str> = done.out.lines().take_while(|l| !l.starts_with("chosen")).collect();
+        let number = |line: &str, behind: &str| {
+            let rest = line.split_once(behind).unwrap().1.split_whitespace().next().unwrap();
+            rest.parse::<f64>().unwrap_or(f64::NAN)
+        };
+        let (costs, errors): (Vec<f64>, Vec<f64>) =
+            lines[1..].iter().map(|l| (number(l, "cost "), number(l, "error "))).unzip();
+        assert!(costs.is_sorted() && costs.len() > 2, "{command}: {lines:?}");
+        let best = errors.iter().position(|&error| error <= 5e-4).unwrap();
+        assert!(costs[best..].iter().all(|cost| (cost - costs[best]).abs() < 1e-9), "{lines:?}");
+        assert!(done.out.contains("chosen: accuracy 5e-4 asked for"), "{}", done.out);
+    }
+    for command in ["simulate", "train", "trade"] {
+        let set = ["small.toml", "--set", "accuracy=1e-15"];
+        place.refuses(command, &set, &["at best", "ask for less"]);
+        place.refuses(command, &[scene, "--set", "speed=draft"], &["one of them", "draft"]);
+    }
+    place.refuses(
+        "simulate",
+        &["small.toml", "--accuracy", "nan"],
+        &["accuracy", "positive number"],
+    );
+}
+
+#[test]
+fn an_evaluation_takes_the_step_that_was_chosen_for_the_training() {
+    let place = Place::new();
+    let train = ["small.toml", "--json", "--set", "accuracy=5e-4", "--record", "learned.mcap"];
+    let trained = place.json("train", &train);
+    let look = ["learned.mcap", "--json", "--quick", "--steps", "6", "--no-record", "--out", "out"];
+    place.json("evaluate", &look);
+    let report = std::fs::read_to_string(place.path("out").join("evaluation.json")).unwrap();
+    let dt = trained["chosen"]["dt"].as_f64().unwrap();
+    assert!(report.contains(&format!("in steps of {dt}")), "{report}");
+    // A truth that asks for the same gets the same.
+    let same = ["--truth", "small.toml", "--set", "accuracy=5e-4"];
+    place.json("evaluate", &[&look[..], &same[..]].concat());
+    let other = ["--truth", "small.toml", "--set", "accuracy=0.5"];
+    place.refuses(
+        "evaluate",
+        &[&look[..], &other[..]].concat(),
+        &["observed every", "learned model"],
+    );
+    let contradiction = [&look[..], &["--set", "accuracy=1e-2"]].concat();
+    place.refuses("evaluate", &contradiction, &["chosen", "take [chosen] out"]);
+}
+
 #[test]
 fn trade_prices_flows_and_gradients() {
     let place = Place::new();
@@ -262,13 +401,24 @@ fn explain_prints_what_runs_and_how_much_memory_it_takes() {
     for (command, tangents) in [("train", true), ("simulate", false)] {
         let done = place.run(command, &["small.toml", "--explain"]);
         assert_eq!(done.code, Some(0), "{}", done.err);
-        for part in
-            ["sum_density", "accelerate", "kick", "drift", "watch", "bytes per particle", "in all"]
-        {
+        let systems = ["one step runs", "sum_density", "accelerate", "kick", "drift", "watch"];
+        let columns =
+            ["bytes per particle", "Position", "packed", "in all", "each step adds", "row of"];
+        for part in systems.into_iter().chain(columns) {
             assert!(done.out.contains(part), "no {part}: {}", done.out);
         }
         assert_eq!(done.out.contains("tangent"), tangents, "{}", done.out);
     }
+    let adjoint = ["--set", "learn.optimiser={kind='adam',rate=0.1}", "--explain", "--json"];
+    let found = place.json("train", &[&["small.toml"], &adjoint[..]].concat());
+    let search = &found[0];
+    assert_eq!((&search["about"], found.as_array().unwrap().len()), (&"the search".into(), 1));
+    let columns = |key: &str| -> Vec<String> {
+        let all = search[key].as_array().unwrap().iter();
+        all.map(|held| format!("{}: {}", held["part"], held["name"])).collect()
+    };
+    let tape = |column: &String| column.contains("tape");
+    assert!(columns("held").iter().any(tape) && columns("each_step").iter().any(tape), "{found}");
     assert!(!place.path("recordings").exists(), "nothing is recorded");
 }
 

@@ -1,4 +1,5 @@
-//! Only what a scene requires: what it holds per particle, and that it holds no more.
+//! Only what a scene requires: which systems run for it, in order, and what it holds per particle, column by
+//! column; and what is turned off takes its systems and its memory with it.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -6,17 +7,378 @@
 mod common;
 
 use common::{in_2d_and_3d, shaken};
-use whirls::Flow;
-use whirls::flow::Differentiation;
+use std::f64::consts::PI;
+use whirls::flow::{Differentiation, Held};
+use whirls::learn::Learner;
 use whirls::models::Parameter;
-use whirls::scene::Forcing;
-use whirls::sensitivity::Coupling;
+use whirls::recording::{Frame, Recorder};
+use whirls::run::{Lesson, Requirements};
+use whirls::scene::{Forcing, Optimiser, SHIPPED, Shipped};
+use whirls::sensitivity::{Coupling, Gradient, Storage};
+use whirls::{Flow, Scene};
 
 in_2d_and_3d!(
     a_flow_holds_components_a_packed_line_and_its_neighbours_and_nothing_else,
     learning_adds_one_block_for_every_eight_parameters,
-    stirring_adds_no_memory,
+    stirring_adds_no_memory_and_one_system_to_an_evaluation,
+    viscosity_has_neither_a_system_nor_memory_of_its_own,
+    what_is_not_learned_takes_neither_systems_nor_memory,
+    an_adjoint_holds_nothing_of_a_forward_gradient_and_the_other_way_round,
+    one_parameter_takes_what_five_take,
+    what_is_not_recorded_takes_no_memory,
 );
+
+/// How the flow of a scene is run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Way {
+    Simulate,
+    Forward,
+    Adjoint,
+}
+
+/// A gradient of the scene at its first guess, explained as `train --explain` does it.
+fn training<const D: usize>(scene: &Scene) -> Vec<Requirements> {
+    let lesson = Lesson::<D>::new(scene, None).unwrap();
+    let mut learner = Learner::of_truth(scene, &lesson.truth).unwrap();
+    let guess = learner.guess(scene.seed);
+    Requirements::of_training((scene, &lesson), (&mut learner, &guess)).unwrap()
+}
+
+/// Its flow alone, explained as `simulate --explain` does it.
+fn simulation<const D: usize>(scene: &Scene) -> Requirements {
+    let mut flow = Flow::<D>::new(scene).unwrap();
+    flow.start().unwrap();
+    Requirements::of_flow(scene, &mut flow, true)
+}
+
+/// A system's tangent, where sensitivities are carried.
+fn tangent(way: Way, name: &'static str) -> Vec<&'static str> {
+    if way == Way::Forward { vec![name] } else { Vec::new() }
+}
+
+/// Systems that pack what a force evaluation, or the loss, sees.
+fn packed(way: Way) -> Vec<&'static str> {
+    [vec!["neighbours::pack_velocities"], tangent(way, "verlet::pack_sensitivities")].concat()
+}
+
+/// Systems of a force evaluation.
+fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
+    let forcing = match scene.forcing {
+        Forcing::None => None,
+        Forcing::Deterministic { .. } => {
+            Some(("forcing::force_deterministically", "forcing::force_deterministically_tangent"))
+        }
+        Forcing::Stochastic { .. } => {
+            Some(("forcing::force_stochastically", "forcing::force_stochastically_tangent"))
+        }
+    };
+    let mut all = vec!["acceleration::accelerate"];
+    all.extend(tangent(way, "acceleration::accelerate_tangent"));
+    if let Some((force, its_tangent)) = forcing {
+        all.push(force);
+        all.extend(tangent(way, its_tangent));
+    }
+    all.push("acceleration::write_acceleration");
+    all.extend(tangent(way, "verlet::write_acceleration_tangent"));
+    if way == Way::Adjoint {
+        all.push("tape::record_evaluation");
+    }
+    all
+}
+
+/// Systems of one step, written down once for all kinds of scenes.
+fn step_of(scene: &Scene, way: Way) -> Vec<&'static str> {
+    let mut all = Vec::new();
+    if scene.time.step.refreshes() {
+        all.extend([packed(way), forces_of(scene, way)].concat());
+    }
+    all.extend([vec!["verlet::kick"], tangent(way, "verlet::kick_tangent")].concat());
+    all.extend([vec!["verlet::drift"], tangent(way, "verlet::drift_tangent")].concat());
+    all.push("neighbours::find_neighbours");
+    all.extend(packed(way));
+    all.extend(["density::sum_density", "density::write_density"]);
+    all.extend(tangent(way, "density::sum_density_tangent"));
+    all.extend(forces_of(scene, way));
+    all.extend(["verlet::kick", "verlet::tick"]);
+    all.extend(tangent(way, "verlet::kick_tangent"));
+    match way {
+        Way::Simulate => {}
+        Way::Forward => all.extend([packed(way), vec!["loss::accumulate_loss"]].concat()),
+        Way::Adjoint => all.extend([packed(way), vec!["loss::accumulate_loss_adjoint"]].concat()),
+    }
+    all.push("watch::watch");
+    all
+}
+
+/// Systems of the way back through one step: the pullback of every system, in reverse.
+fn way_back_of(scene: &Scene) -> Vec<&'static str> {
+    let evaluation = || {
+        let forcing = match scene.forcing {
+            Forcing::None => None,
+            Forcing::Deterministic { .. } => Some("forcing::force_deterministically_pullback"),
+            Forcing::Stochastic { .. } => Some("forcing::force_stochastically_pullback"),
+        };
+        let pairs = ["acceleration::accelerate_pullback", "density::sum_density_pullback"];
+        let first = ["tape::rewind_evaluation"].into_iter().chain(forcing);
+        first.chain(pairs).chain(["tape::unpack_adjoint"]).collect::<Vec<_>>()
+    };
+    let mut all = vec!["tape::add_loss", "verlet::tick_pullback", "verlet::kick_pullback"];
+    all.extend(evaluation());
+    all.extend(["verlet::drift_pullback", "verlet::kick_pullback"]);
+    if scene.time.step.refreshes() {
+        all.extend(evaluation());
+    }
+    all
+}
+
+/// A column that is expected: its bytes, at least and at most.
+type Expected = (&'static str, String, [f64; 2]);
+
+fn exactly(part: &'static str, name: &str, bytes: f64) -> Expected {
+    // Vectors have one entry more for nobody, or eight.
+    (part, name.to_owned(), [bytes * (1.0 - 1e-12), bytes * 1.02])
+}
+
+/// What the ECS keeps for each entity: its number twice, its places, its generation and its tick.
+const ENTITY: f64 = 8.0 + 12.0 + 28.0;
+
+/// What it keeps for each component: two ticks.
+const TICKS: f64 = 8.0;
+
+/// `(the lists, at least and at most; the number of eights in them, at most)` per particle: a list holds who
+/// is within `2h` and the skin, in eights; vectors keep at most as much again in reserve.
+fn lists(scene: &Scene) -> ([f64; 2], f64) {
+    let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
+    let volume =
+        if scene.dimension == 2 { PI * reach.powi(2) } else { 4.0 / 3.0 * PI * reach.powi(3) };
+    let density = scene.particles() as f64 / scene.fluid.box_length.powi(scene.dimension as i32);
+    let near = volume * density - 1.0;
+    ([4.0 * near, 2.0 * 4.0 * (near + 8.0)], (near + 8.0) / 8.0)
+}
+
+/// Columns of every flow.
+fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
+    let vector = 8.0 * scene.dimension as f64;
+    let component = |name, bytes: f64| exactly("components", name, bytes + TICKS);
+    let mut all = vec![component("Identity", 4.0)];
+    all.extend(["Position", "Velocity", "Acceleration"].map(|name| component(name, vector)));
+    all.extend([component("Density", 8.0), exactly("components", "entity", ENTITY)]);
+    // A cache line whatever the dimension.
+    let arrays =
+        [("packed", 64.0), ("acceleration", vector), ("density", 8.0), ("slot_of_row", 4.0)];
+    all.extend(arrays.map(|(name, bytes)| exactly("cloud", name, bytes)));
+    let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
+    let cells = (scene.fluid.box_length / reach).floor().powi(scene.dimension as i32);
+    let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
+    all.push(("neighbour lists", "lists".to_owned(), lists(scene).0));
+    all.push(("neighbour lists", "cells".to_owned(), [8.0 + share, 8.0 + 2.5 * share]));
+    // By row, now and at the last rebuild, and by cell, with as much again in reserve.
+    all.push(("neighbour lists", "positions".to_owned(), [3.0 * vector, 4.02 * vector]));
+    all
+}
+
+/// Columns of sensitivities to so many parameters, of which some are weights of a network in the force.
+fn columns_of_sensitivities(dimension: usize, parameters: usize, weights: usize) -> Vec<Expected> {
+    let blocks = parameters.div_ceil(8) as f64;
+    let (lanes, vector) = (64.0, 64.0 * dimension as f64);
+    let column = |name, bytes: f64| exactly("sensitivities", name, bytes);
+    let mut all = vec![column("BlockOf", blocks * (8.0 + TICKS))];
+    let moving = ["PositionSensitivity", "VelocitySensitivity", "AccelerationSensitivity"];
+    all.extend(moving.map(|name| column(name, blocks * (vector + TICKS))));
+    all.push(column("entity", blocks * ENTITY));
+    all.push(column("packed", blocks * (2.0 * vector + 2.0 * lanes)));
+    all.push(column("density", blocks * lanes));
+    all.push(column("acceleration", blocks * vector));
+    all.push(column("stress_slopes", 8.0));
+    if weights > 0 {
+        all.push(column("weight_shares", (8 * dimension * weights) as f64));
+    }
+    all
+}
+
+/// Columns of an adjoint, of a model that leaves shares with its neighbours or of one that does not.
+fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
+    let vector = 8.0 * scene.dimension as f64;
+    let column = |name, bytes: f64| exactly("adjoint", name, bytes);
+    let moving = ["PositionAdjoint", "VelocityAdjoint", "AccelerationAdjoint"];
+    let mut all = moving.map(|name| column(name, vector + TICKS)).to_vec();
+    let arrays = [("packed", 32.0), ("position", vector), ("velocity", vector), ("scalars", 16.0)];
+    all.extend(arrays.map(|(name, bytes)| column(name, bytes)));
+    if shares {
+        let each = 64.0 * (2.0 * scene.dimension as f64 + 2.0);
+        let ([least, _], most) = lists(scene);
+        let bytes = [each * least / 32.0, 2.0 * each * most];
+        all.push(("adjoint", "shares".to_owned(), bytes));
+    }
+    all
+}
+
+/// Columns of what a flow is compared with.
+fn columns_of_observations(scene: &Scene) -> Vec<Expected> {
+    let (learn, vector) = (scene.learn.as_ref().unwrap(), 8.0 * scene.dimension as f64);
+    let frames = learn.frames as f64;
+    let column = |name, bytes| exactly("observations", name, bytes);
+    vec![
+        column("positions of each frame", frames * vector),
+        column("velocities of each frame", frames * vector),
+        // As many nodes as particles.
+        column("field of each frame", frames * vector),
+        column("velocities at the start", vector),
+    ]
+}
+
+/// What is found is what is expected: the same columns, each within its bytes.
+#[track_caller]
+fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
+    let name = |part: &str, name: &str| format!("{part}: {name}");
+    let mut names: Vec<String> = found.iter().map(|held| name(held.part, &held.name)).collect();
+    let mut wanted: Vec<String> = expected.iter().map(|(part, own, _)| name(part, own)).collect();
+    names.sort_unstable();
+    wanted.sort_unstable();
+    assert_eq!(names, wanted, "{about}");
+    for (part, name, [least, most]) in expected {
+        let held = found.iter().find(|held| held.part == *part && held.name == *name).unwrap();
+        let fits = *least <= held.bytes && held.bytes <= *most;
+        assert!(fits, "{about}, {part}, {name}: {} for {least} to {most}", held.bytes);
+    }
+}
+
+/// The search or the warm-up of a shipped scene requires what its scene says, and no more.
+fn assert_training(name: &str, scene: &Scene, found: &Requirements) {
+    let learn = scene.learn.as_ref().unwrap();
+    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+    let way = if second_order { Way::Forward } else { Way::Adjoint };
+    let about = format!("{} of {name}, {way:?}", found.about);
+    assert_eq!(found.systems("one step"), step_of(scene, way), "{about}");
+    let back = if way == Way::Adjoint { way_back_of(scene) } else { Vec::new() };
+    assert_eq!(found.systems("the way back through one step"), back, "{about}");
+
+    let (mut held, mut each_step) = columns_of_a_gradient(scene, way, found);
+    if found.about == "the search" {
+        let (states, vector) = (learn.frames as f64 + 1.0, 8.0 * scene.dimension as f64);
+        held.push(exactly("truth", "states", states * 2.0 * vector));
+        held.push(exactly("truth", "densities", states * 8.0));
+        held.push(exactly("recording", "frames on their way, at most", 9.0 * 56.0 + 2.0 * 64.0));
+        for topic in ["/truth/particles", "/learned/particles"] {
+            each_step.push(exactly("recording, a step", &format!("row of {topic}"), 64.0));
+        }
+    }
+    assert_columns(&about, &found.held, &held);
+    assert_columns(&about, &found.each_step, &each_step);
+}
+
+/// Columns of a flow with its gradient, and what each step adds to a tape.
+fn columns_of_a_gradient(
+    scene: &Scene,
+    way: Way,
+    found: &Requirements,
+) -> (Vec<Expected>, Vec<Expected>) {
+    let (learn, vector) = (scene.learn.as_ref().unwrap(), 8.0 * scene.dimension as f64);
+    let kind = learn.model.kind();
+    let in_the_force = ["node", "nn-sum", "rot-inv", "grad-p"].contains(&kind);
+    let mut held = [columns_of_a_flow(scene), columns_of_observations(scene)].concat();
+    held.push(exactly("search", "first state", 2.0 * vector));
+    if way == Way::Forward {
+        let learned = match scene.dimension {
+            2 => whirls::learn::columns::<2>(scene, learn).unwrap().len(),
+            _ => whirls::learn::columns::<3>(scene, learn).unwrap().len(),
+        };
+        let weights = if in_the_force { learned } else { 0 };
+        held.extend(columns_of_sensitivities(scene.dimension, learned, weights));
+        return (held, Vec::new());
+    }
+    held.extend(columns_of_an_adjoint(scene, in_the_force));
+    let all = learn.frames as f64 * found.part("tape, a step").unwrap();
+    held.push(exactly("tape", &format!("{} steps", learn.frames), all));
+    // The paper's step evaluates twice.
+    let [least, most] = lists(scene).0;
+    let lists = "lists of each evaluation".to_owned();
+    let each_step = vec![
+        exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)),
+        ("tape, a step", lists, [2.0 * least, 2.0 * most]),
+        exactly("tape, a step", "loss by each observed state", 2.0 * vector),
+    ];
+    (held, each_step)
+}
+
+fn assert_shipped<const D: usize>(name: &str, scene: &Scene) {
+    let found = simulation::<D>(scene);
+    assert_eq!(found.systems("one step"), step_of(scene, Way::Simulate), "simulate {name}");
+    assert_eq!(found.programs.len(), 2, "nothing runs backwards: simulate {name}");
+    let mut expected = columns_of_a_flow(scene);
+    expected.push(exactly("recording", "frames on their way, at most", (9 * 56 + 2 * 64) as f64));
+    assert_columns(&format!("simulate {name}"), &found.held, &expected);
+    let row = exactly("recording, a step", "row of /truth/particles", 64.0);
+    assert_columns(&format!("simulate {name}"), &found.each_step, &[row]);
+
+    let all = training::<D>(scene);
+    let names: Vec<&str> = all.iter().map(|found| found.about).collect();
+    let warm_up = scene.warm_up();
+    match &warm_up {
+        None => assert_eq!(names, ["the search"], "{name}"),
+        Some(_) => assert_eq!(names, ["the search", "the warm-up"], "{name}"),
+    }
+    assert_training(name, scene, &all[0]);
+    if let Some(before) = &warm_up {
+        assert_training(name, before, &all[1]);
+    }
+    let bytes = all.iter().flat_map(|found| &found.held).map(|held| held.bytes).sum::<f64>();
+    let flow = found.held.iter().map(|held| held.bytes).sum::<f64>();
+    println!("{name:18} {flow:6.0} bytes per particle to simulate, {bytes:6.0} to learn");
+}
+
+#[test]
+fn every_shipped_scene_runs_these_systems_and_holds_these_columns() {
+    assert_eq!((Frame::BYTES, Frame::ROW, Recorder::MOST_BYTES), (56, 64, 9 * 56 + 2 * 64));
+    for Shipped { name, .. } in SHIPPED {
+        let scene = Scene::shipped(name).unwrap();
+        match scene.dimension {
+            2 => assert_shipped::<2>(name, &scene),
+            _ => assert_shipped::<3>(name, &scene),
+        }
+    }
+}
+
+#[test]
+fn a_third_dimension_takes_a_third_coordinate_in_every_vector() {
+    let flat = simulation::<2>(&small::<2>());
+    let deep = simulation::<3>(&small::<3>());
+    assert_eq!(flat.programs, deep.programs, "the same systems");
+    for (flat, deep) in flat.held.iter().zip(&deep.held) {
+        assert_eq!((flat.part, &flat.name), (deep.part, &deep.name));
+        let coordinates = match flat.name.as_str() {
+            "Position" | "Velocity" | "Acceleration" | "acceleration" => 1.0,
+            // How many neighbours there are, and cells; what vectors keep in reserve.
+            "lists" | "cells" | "positions" => continue,
+            _ => 0.0,
+        };
+        let more = deep.bytes - flat.bytes;
+        assert!((more - 8.0 * coordinates).abs() < 1.0, "{}: {more} more", flat.name);
+    }
+}
+
+/// A scene that learns from a few steps of a few particles.
+fn small<const D: usize>() -> Scene {
+    let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
+    let (side, h) = if D == 2 { (24, 0.266_67) } else { (10, 0.536) };
+    let overrides = [
+        format!("fluid.particles_per_side={side}"),
+        format!("fluid.smoothing_length={h}"),
+        "learn.after=1".to_owned(),
+        "learn.frames=3".to_owned(),
+        "learn.windows=[]".to_owned(),
+        "learn.optimiser={kind='adam',rate=0.1}".to_owned(),
+        "learn.gradient=forward".to_owned(),
+    ];
+    Scene::open(name, &overrides).unwrap()
+}
+
+/// The small scene with something of its learning changed.
+fn learning<const D: usize>(change: impl FnOnce(&mut whirls::scene::Learn)) -> Scene {
+    let mut scene = small::<D>();
+    change(scene.learn.as_mut().unwrap());
+    scene
+}
 
 type Parts = Vec<(&'static str, f64)>;
 
@@ -42,15 +404,8 @@ fn a_flow_holds_components_a_packed_line_and_its_neighbours_and_nothing_else<con
     println!("{D}D: {found:?}");
     let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
     assert_eq!(names, ["components", "cloud", "neighbour lists"]);
-    // Number, density; position, velocity and acceleration.
-    let components = (4 + 8 + 3 * 8 * D) as f64;
-    assert!((part(&found, "components").unwrap() - components).abs() < 1e-12);
-    // A cache line, acceleration, density and place, with what vectors keep in reserve.
-    let line = (64 + 8 * D + 8 + 4) as f64;
-    let cloud = part(&found, "cloud").unwrap();
-    assert!(cloud >= line && cloud < 1.1 * line, "{cloud} for {line}");
     let all: f64 = found.iter().map(|(_, bytes)| bytes).sum();
-    assert!(all < 600.0, "{all} bytes per particle");
+    assert!(all < 700.0, "{all} bytes per particle");
 }
 
 fn learning_adds_one_block_for_every_eight_parameters<const D: usize>() {
@@ -63,14 +418,95 @@ fn learning_adds_one_block_for_every_eight_parameters<const D: usize>() {
     assert!(nine > 1.9 * one && nine < 2.1 * one, "{one} and {nine}");
 }
 
-fn stirring_adds_no_memory<const D: usize>() {
+fn stirring_adds_no_memory_and_one_system_to_an_evaluation<const D: usize>() {
     let plain = parts::<D>(Forcing::None, 0);
     for (name, forcing) in common::FORCINGS {
-        let found = parts::<D>(forcing, 0);
+        let found = parts::<D>(forcing.clone(), 0);
         for (part, bytes) in &found {
             let without = plain.iter().find(|(other, _)| other == part).unwrap().1;
             // Lists differ by who is near after one step.
             assert!((bytes - without).abs() < 0.02 * without, "{name}: {part} {bytes}, {without}");
         }
+        for gradient in [Gradient::Forward, Gradient::Adjoint] {
+            let mut scene = learning::<D>(|learn| learn.gradient = gradient);
+            scene.forcing = forcing.clone();
+            let found = &training::<D>(&scene)[0];
+            let way = if gradient == Gradient::Forward { Way::Forward } else { Way::Adjoint };
+            assert_eq!(found.systems("one step"), step_of(&scene, way), "{name}");
+            let all = found.programs.iter().flat_map(|(_, systems)| systems);
+            let forced = all.filter(|system| system.starts_with("forcing::")).count();
+            assert_eq!(forced > 0, forcing != Forcing::None, "{name}: {forced} systems");
+        }
     }
+}
+
+fn viscosity_has_neither_a_system_nor_memory_of_its_own<const D: usize>() {
+    let mut scene = small::<D>();
+    let with = simulation::<D>(&scene);
+    (scene.fluid.alpha, scene.fluid.beta) = (0.0, 0.0);
+    assert_eq!(simulation::<D>(&scene), with);
+}
+
+fn what_is_not_learned_takes_neither_systems_nor_memory<const D: usize>() {
+    let mut scene = small::<D>();
+    let learned = &training::<D>(&scene)[0];
+    let simulated = simulation::<D>(&scene);
+    scene.learn = None;
+    assert_eq!(simulation::<D>(&scene), simulated, "a scene that could learn only simulates");
+    for word in ["tangent", "sensitivities", "loss", "pullback", "tape", "adjoint"] {
+        let named = |found: &Requirements| {
+            let systems = found.programs.iter().flat_map(|(_, systems)| systems);
+            systems.filter(|system| system.contains(word)).count()
+        };
+        assert_eq!(named(&simulated), 0, "{word}");
+    }
+    let parts = Held::parts(&simulated.held);
+    let names: Vec<&str> = parts.iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["components", "cloud", "neighbour lists", "recording"]);
+    for more in ["sensitivities", "observations", "truth", "search"] {
+        assert!(learned.part(more).is_some_and(|bytes| bytes > 0.0), "{more}");
+    }
+}
+
+fn an_adjoint_holds_nothing_of_a_forward_gradient_and_the_other_way_round<const D: usize>() {
+    let found = |gradient, storage| {
+        let scene = learning::<D>(|learn| (learn.gradient, learn.storage) = (gradient, storage));
+        training::<D>(&scene).swap_remove(0)
+    };
+    let forward = found(Gradient::Forward, Storage::All);
+    let adjoint = found(Gradient::Adjoint, Storage::All);
+    for part in ["adjoint", "tape", "tape, a step"] {
+        assert_eq!(forward.part(part), None, "{part}");
+        assert!(adjoint.part(part).is_some_and(|bytes| bytes > 0.0), "{part}");
+    }
+    assert!(forward.part("sensitivities").is_some());
+    assert_eq!(adjoint.part("sensitivities"), None);
+    assert!(forward.systems("the way back through one step").is_empty());
+    // Three steps of tape against one, and two snapshots of three vectors and the lists' positions.
+    let step = adjoint.part("tape, a step").unwrap();
+    assert!((adjoint.part("tape").unwrap() - 3.0 * step).abs() < 1e-9 * step);
+    let few = found(Gradient::Adjoint, Storage::Checkpoints(2));
+    let snapshots = (2 * 4 * 8 * D) as f64;
+    assert!((few.part("tape").unwrap() - step - snapshots).abs() < 1e-9 * step);
+}
+
+fn one_parameter_takes_what_five_take<const D: usize>() {
+    let found = |parameters: &[Parameter]| {
+        let scene = learning::<D>(|learn| learn.parameters = parameters.to_vec());
+        training::<D>(&scene).swap_remove(0)
+    };
+    let (one, five) = (found(&Parameter::ALL[..1]), found(&Parameter::ALL));
+    assert_eq!(one.programs, five.programs);
+    assert_eq!(one.part("sensitivities"), five.part("sensitivities"), "one block of eight");
+}
+
+fn what_is_not_recorded_takes_no_memory<const D: usize>() {
+    let mut scene = small::<D>();
+    let every = |scene: &Scene| simulation::<D>(scene).part("recording, a step");
+    assert_eq!(every(&scene), Some(64.0));
+    scene.record.every = 4;
+    assert_eq!(every(&scene), Some(16.0));
+    scene.record.every = 0;
+    let without = simulation::<D>(&scene);
+    assert_eq!((without.part("recording"), without.part("recording, a step")), (None, None));
 }

@@ -7,7 +7,9 @@ mod common;
 
 use whirls::forcing::Power;
 use whirls::models::Parameter;
-use whirls::scene::{Forcing, Increments, KernelName, Optimiser, SHIPPED, Shipped, SpinUp, Times};
+use whirls::scene::{
+    Forcing, Increments, KernelName, Optimiser, SHIPPED, Shipped, Speed, SpinUp, Times,
+};
 use whirls::systems::verlet::Step;
 use whirls::{Error, Scene};
 
@@ -136,6 +138,15 @@ fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
         ("limits.energy=-1.0", &["limits.energy", "positive"]),
         ("forcing.theta=nan", &["forcing.theta", "a number", "NaN"]),
         ("learn.frames=0", &["learn.frames", "at least one"]),
+        ("learn.every=0", &["learn.every", "at least one step"]),
+        ("accuracy=0.0", &["accuracy", "positive number of smoothing lengths", "found 0"]),
+        ("accuracy=-1e-3", &["accuracy", "positive", "-0.001"]),
+        ("accuracy=nan", &["accuracy", "positive", "NaN"]),
+        ("speed=fast", &["speed", "draft", "balanced", "exact"]),
+        (
+            "chosen={accuracy=1e-3,step='paper',dt=0.1,cost=1.0,error=1e-4}",
+            &["chosen", "take [chosen] out", "None"],
+        ),
         ("learn.mesh=0", &["learn.mesh", "at least one node"]),
         ("learn.target=-1.0", &["learn.target", "zero or more", "-1"]),
         (
@@ -160,6 +171,23 @@ fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
         assert_says(&message, parts);
         assert!(message.contains("--set"), "{message}");
     }
+}
+
+#[test]
+fn an_accuracy_is_asked_for_by_number_or_by_name_and_not_by_both() {
+    let asked = |text: &str| {
+        let scene = Scene::parse(GOOD, "small.toml", &[text.to_owned()]).unwrap();
+        assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+        scene.accuracy_asked()
+    };
+    assert_eq!(asked("accuracy=1e-3"), Some(1e-3));
+    assert_eq!(asked("accuracy=1"), Some(1.0));
+    for speed in Speed::ALL {
+        assert_eq!(asked(&format!("speed={}", speed.name())), Some(speed.accuracy()));
+    }
+    assert_eq!(Scene::parse(GOOD, "small.toml", &[]).unwrap().accuracy_asked(), None);
+    let message = refusal(GOOD, &["accuracy=1e-3", "speed=draft"]);
+    assert_says(&message, &["accuracy and speed", "one of them", "0.001", "draft"]);
 }
 
 #[test]

@@ -13,7 +13,8 @@ use std::process::ExitCode;
 use whirls::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
 use whirls::recording::Recording;
 use whirls::run::{EvaluationFiles, truth_from_recording, write_evaluation};
-use whirls::{Error, Result, Scene};
+use whirls::trade::settle;
+use whirls::{Error, Flow, Result, Scene};
 
 /// Measures how well learned models know the flow: errors by horizon, by strength of the stirring and by
 /// Mach number, statistics, symmetries, equations of state; writes JSON, an HTML report and a recording.
@@ -108,6 +109,8 @@ fn run<const D: usize>(
     scene: &Scene,
     recorded: Option<&Path>,
 ) -> Result<()> {
+    let choice = settle(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
+    let scene = &choice.scene;
     let mut candidates = Vec::new();
     for path in &arguments.learned {
         candidates.push(Candidate::open::<D>(path)?);
@@ -155,12 +158,14 @@ fn pieces<const D: usize>(
 fn facts(arguments: &Arguments, scene: &Scene) -> Vec<(String, String)> {
     let command: Vec<String> = std::env::args().skip(1).collect();
     let truth = arguments.truth.clone().unwrap_or_else(|| scene.name.clone());
-    vec![
+    let chosen = scene.chosen.map(|chosen| ("chosen".to_owned(), chosen.to_string()));
+    let facts = [
         ("command".to_owned(), format!("evaluate {}", command.join(" "))),
         ("truth".to_owned(), truth),
         ("seed".to_owned(), scene.seed.to_string()),
         ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-    ]
+    ];
+    facts.into_iter().chain(chosen).collect()
 }
 
 fn describe(files: &EvaluationFiles) {

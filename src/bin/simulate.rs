@@ -9,16 +9,17 @@ mod scene;
 use clap::Parser;
 use common::{conclude, say, say_json};
 use flow::{in_dimension, progress};
-use scene::{SceneArguments, explain};
+use scene::{SceneArguments, describe_choice, explain};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 use whirls::flow::State;
-use whirls::recording::{self, Recorder, Recording};
-use whirls::run::{run_info, run_recorded};
+use whirls::recording::{self, Recording};
+use whirls::run::{Requirements, begin_recording, run_info, run_recorded};
+use whirls::scene::Chosen;
 use whirls::statistics::conservation;
-use whirls::trade::{CALIBRATION, Choice, Trial, choose};
+use whirls::trade::settle;
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -39,7 +40,7 @@ struct Arguments {
     #[arg(long)]
     steps: Option<u64>,
     /// Take the cheapest step that keeps particles within so many smoothing lengths of a much finer run,
-    /// over twenty steps of the scene; --explain shows what was tried.
+    /// over twenty steps of the scene, as --set accuracy=LENGTHS; --explain shows what was tried.
     #[arg(long, value_name = "LENGTHS")]
     accuracy: Option<f64>,
     /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing.
@@ -64,18 +65,13 @@ struct Report {
     recording: Option<PathBuf>,
 }
 
-/// The step that was chosen for the accuracy asked for.
-#[derive(Serialize)]
-struct Chosen {
-    step: &'static str,
-    dt: f64,
-    cost: f64,
-    error: f64,
-}
-
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
+    let mut common = arguments.common.clone();
+    let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
+    common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
+    conclude(common.open(&arguments.scene).and_then(|mut scene| {
+        scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
         if arguments.common.print_scene {
             say(scene.to_toml());
             return Ok(());
@@ -85,29 +81,26 @@ fn main() -> ExitCode {
 }
 
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let start = match &arguments.from {
-        None => Flow::<D>::new(scene)?.state(),
-        Some(path) => state_from(path, arguments.frame)?,
+    let start = |scene: &Scene| match &arguments.from {
+        None => Ok(Flow::<D>::new(scene)?.state()),
+        Some(path) => state_from(path, arguments.frame),
     };
-    let own = scene;
-    let choice = arguments.accuracy.map(|accuracy| choose(scene, &start, accuracy)).transpose()?;
-    let scene = choice.as_ref().map_or(scene, |choice| &choice.scene);
-    if let Some(choice) = &choice {
-        describe_choice(choice, arguments.common.explain);
-    }
-    let mut flow = Flow::<D>::from_state(scene, &start)?;
+    let choice = settle(scene, start)?;
+    describe_choice(&choice, arguments.common.explain);
+    let scene = &choice.scene;
+    let mut flow = Flow::<D>::from_state(scene, &start(scene)?)?;
     if arguments.common.explain {
         flow.start()?;
-        return explain(&mut flow);
+        let found = Requirements::of_flow(scene, &mut flow, true);
+        return explain(&[found], arguments.common.json);
     }
-    let steps = arguments.steps.unwrap_or(scene.time.steps) as f64 * own.dt() / scene.dt();
-    let steps = steps.round() as u64;
+    let steps = scene.time.steps;
     let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
     let path = arguments.record.clone().unwrap_or(default);
     let path = (scene.record.every > 0).then_some(path);
     let mut recorder = path
         .as_ref()
-        .map(|path| Recorder::create(path, &run_info(scene, "simulate")))
+        .map(|path| begin_recording(path, (&run_info(scene, "simulate"), scene), flow.time()))
         .transpose()?;
     // A flow that fails at once is reported, and recorded, by the run itself.
     let before = flow.start().ok().map(|()| conservation(&mut flow)).unwrap_or_default();
@@ -133,28 +126,11 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         momentum_drift: drift.sum::<f64>().sqrt(),
         energy_drift: (after.total_energy - before.total_energy) / before.total_energy,
         bytes_per_particle: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
-        chosen: choice.map(|choice| {
-            let Trial { step, dt, cost, error } = choice.chosen;
-            Chosen { step: step.name(), dt, cost, error }
-        }),
+        chosen: scene.chosen,
         recording: path,
     };
     describe(&report);
     if arguments.common.json { say_json(&report) } else { Ok(()) }
-}
-
-fn describe_choice(choice: &Choice, explain: bool) {
-    let line = |trial: &Trial| {
-        let Trial { step, dt, cost, error } = trial;
-        let name = step.name();
-        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.1e}") };
-        format!("{name:15} dt {dt:.6}  cost {cost:6.3}  error {held}")
-    };
-    if explain {
-        say(format!("tried over {CALIBRATION} steps of the scene, cheapest first:"));
-        choice.trials.iter().for_each(|trial| say(format!("  {}", line(trial))));
-    }
-    say(format!("chosen: {}", line(&choice.chosen)));
 }
 
 fn describe(report: &Report) {

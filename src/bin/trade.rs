@@ -9,12 +9,12 @@ mod scene;
 use clap::Parser;
 use common::{conclude, say, say_json};
 use flow::{in_dimension, progress};
-use scene::{SceneArguments, explain};
+use scene::{SceneArguments, describe_choice, explain};
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use whirls::run::write;
-use whirls::trade::{Plan, price_flows, price_gradients, report};
+use whirls::run::{Requirements, write};
+use whirls::trade::{Plan, price_flows, price_gradients, report, settle};
 use whirls::truth::Truth;
 use whirls::{Flow, Result, Scene};
 
@@ -50,10 +50,14 @@ fn main() -> ExitCode {
 }
 
 fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    let choice = settle(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
+    describe_choice(&choice, arguments.common.explain);
+    let scene = &choice.scene;
     if arguments.common.explain {
         let mut flow = Flow::<D>::new(scene)?;
         flow.start()?;
-        return explain(&mut flow);
+        let found = Requirements::of_flow(scene, &mut flow, false);
+        return explain(&[found], arguments.common.json);
     }
     let plan = Plan { steps: arguments.steps, rounds: usize::from(arguments.rounds) };
     let (after, frames) = scene.learn.as_ref().map_or((0, 0), |learn| (learn.after, learn.frames));
@@ -98,10 +102,12 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
 fn facts(scene: &Scene) -> Vec<(String, String)> {
     let command: Vec<String> = std::env::args().skip(1).collect();
     let threads = rayon::current_num_threads();
-    vec![
+    let chosen = scene.chosen.map(|chosen| ("chosen".to_owned(), chosen.to_string()));
+    let facts = [
         ("command".to_owned(), format!("trade {}", command.join(" "))),
         ("seed".to_owned(), scene.seed.to_string()),
         ("threads".to_owned(), threads.to_string()),
         ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-    ]
+    ];
+    facts.into_iter().chain(chosen).collect()
 }

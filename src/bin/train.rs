@@ -15,13 +15,15 @@ use clap::Parser;
 use common::{conclude, say, say_json};
 use flow::{in_dimension, progress};
 use report::describe;
-use scene::{SceneArguments, explain};
+use scene::{SceneArguments, describe_choice, explain};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use whirls::learn::Learner;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
-use whirls::run::{Lesson, Progress, Training, TrainingReport, earlier_guess};
+use whirls::run::{
+    Lesson, Progress, Requirements, Training, TrainingReport, earlier_guess, settle_training,
+};
 use whirls::{Error, Result, Scene};
 
 /// Learns the law of a flow from its moving particles, and records truth, search and learned flow.
@@ -77,15 +79,18 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
             "add --features viewer, or run `replay` on the recording",
         ));
     }
+    let choice = settle_training::<D>(scene, arguments.truth.as_deref())?;
+    let scene = &choice.scene;
     let lesson = Lesson::<D>::new(scene, arguments.truth.as_deref())?;
     let mut learner = Learner::of_truth(scene, &lesson.truth)?;
     let guess = match &arguments.resume {
         None => learner.guess(scene.seed),
         Some(path) => earlier_guess(path, &learner)?,
     };
+    describe_choice(&choice, arguments.common.explain);
     if arguments.common.explain {
-        learner.evaluate(&guess, 1)?;
-        return explain(learner.flow_mut());
+        let found = Requirements::of_training((scene, &lesson), (&mut learner, &guess))?;
+        return explain(&found, arguments.common.json);
     }
     if arguments.check_gradient || arguments.check_coupling {
         // The memory of its sensitivities is wanted for others.

@@ -89,9 +89,10 @@ impl Candidate {
         let kind = |scene: &Scene| {
             let (fluid, step) = (&scene.fluid, scene.time.step);
             let (edge, h, kernel) = (fluid.box_length, fluid.smoothing_length, fluid.kernel);
-            let dt = scene.dt();
+            let (dt, every) = (scene.dt(), scene.observed_every());
             format!(
-                "{} dimensions, box {edge}, h {h}, kernel {kernel:?}, dt {dt}, step {step:?}",
+                "{} dimensions, box {edge}, h {h}, kernel {kernel:?}, dt {dt}, step {step:?}, \
+                 observed every {every}",
                 scene.dimension
             )
         };

@@ -27,7 +27,7 @@ impl Errors {
     }
 }
 
-/// States of a flow at some of its steps, and its errors at each.
+/// States of a flow at some of its steps, and its errors at each. A step is one that the scene observes.
 #[derive(Clone, Debug, Default)]
 pub struct Course<const D: usize> {
     /// Errors against the truth; empty for the truth itself.
@@ -109,10 +109,10 @@ impl<const D: usize> Course<D> {
         let mut flow = candidate.flow(scene, &truth.states[0], Some(observations.clone()))?;
         let mut course = Self::default();
         let mut before = [0.0; 3];
-        let mut failed = flow.start().is_err();
+        let (every, mut failed) = (scene.observed_every(), flow.start().is_err());
         for step in 0..=marks.steps {
             if step > 0 {
-                failed = failed || flow.step().is_err();
+                failed = failed || (0..every).any(|_| flow.step().is_err());
                 course.errors.keep(&flow, observations.frames.len(), (&mut before, failed));
                 tick();
             }

@@ -50,15 +50,24 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Failure::default());
 }
 
-pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>) {
+/// Particles, with the columns of an adjoint where one is run: all at once, since whoever moves to another
+/// table leaves its memory behind.
+pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>, adjoint: bool) {
     let rows = state.positions.iter().zip(&state.velocities).enumerate();
-    let particles: Vec<_> = rows
-        .map(|(id, (&r, &v))| {
-            let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
-            (Identity(id as u32), moving, Density::default())
-        })
-        .collect();
-    world.spawn_batch(particles);
+    let particle = |(id, (&r, &v)): (usize, _)| {
+        let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
+        (Identity(id as u32), moving, Density::default())
+    };
+    if adjoint {
+        let zeros = (
+            PositionAdjoint::<D>::default(),
+            VelocityAdjoint::<D>::default(),
+            AccelerationAdjoint::<D>::default(),
+        );
+        world.spawn_batch(rows.map(|row| (particle(row), zeros)).collect::<Vec<_>>());
+    } else {
+        world.spawn_batch(rows.map(particle).collect::<Vec<_>>());
+    }
     world.resource_mut::<Clock>().start = state.time;
 }
 
@@ -74,14 +83,14 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         stress_slopes: Vec::new(),
         weight_shares: Vec::new(),
     };
+    // All at once: a table that grows keeps as much again in reserve.
+    world.spawn_batch((0..blocks * count).map(|row| {
+        let zero = no_change::<D>();
+        let of = BlockOf { particle: (row % count) as u32, block: (row / count) as u32 };
+        let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
+        (of, moving, AccelerationSensitivity(zero))
+    }));
     for block in 0..blocks {
-        let rows = (0..count as u32).map(move |particle| {
-            let zero = no_change::<D>();
-            let of = BlockOf { particle, block: block as u32 };
-            let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
-            (of, moving, AccelerationSensitivity(zero))
-        });
-        world.spawn_batch(rows);
         let mut directions = [Lanes::ZERO; Parameter::COUNT];
         let mut weights = Vec::new();
         let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
@@ -103,14 +112,6 @@ pub(super) fn spawn_sensitivities<const D: usize>(
 }
 
 pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {
-    let particles: Vec<Entity> =
-        world.query_filtered::<Entity, With<Identity>>().iter(world).collect();
-    let zeros = (
-        PositionAdjoint::<D>::default(),
-        VelocityAdjoint::<D>::default(),
-        AccelerationAdjoint::<D>::default(),
-    );
-    world.insert_batch(particles.into_iter().map(|particle| (particle, zeros)));
     let adjoint = AdjointCloud::<D> { parameters: vec![0.0; parameters], ..Default::default() };
     world.insert_resource(adjoint);
     world.insert_resource(Tape::<D>::default());

@@ -5,9 +5,7 @@ use crate::models::Room;
 use crate::scalar::{Lanes, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
-use crate::systems::particles::{
-    Acceleration, Cloud, Density, Identity, Position, SensitivityCloud, Velocity,
-};
+use crate::systems::particles::{Acceleration, Cloud, Density, Identity, Position, Velocity};
 use crate::systems::verlet::{Clock, Integrator};
 use crate::vector::Vector;
 
@@ -78,30 +76,6 @@ impl<const D: usize> Flow<D> {
     /// `Σ m a` per system at the last force evaluation.
     pub fn momentum_rates(&self) -> MomentumRates<D> {
         statistics::momentum_rates(&self.world)
-    }
-
-    /// Bytes per particle of everything the World holds for it, by part.
-    pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
-        let count = self.world.resource::<Cloud<D>>().len().max(1) as f64;
-        let vector = 8 * D;
-        let lines = self.world.resource::<Cloud<D>>();
-        let cloud = 64 * lines.packed.capacity()
-            + vector * lines.acceleration.capacity()
-            + 8 * lines.density.capacity()
-            + 4 * lines.slot_of_row.capacity();
-        let mut parts = vec![
-            ("components", (4 + 3 * vector + 8) as f64),
-            ("cloud", cloud as f64 / count),
-            ("neighbour lists", self.world.resource::<Neighbours<D>>().bytes() as f64 / count),
-        ];
-        if let Some(sensitivities) = self.world.get_resource::<SensitivityCloud<D>>() {
-            let block = 3 * D * 64 + 8 + (2 * D + 2) * 64 + 64 + D * 64;
-            let shared =
-                8 * (sensitivities.weight_shares.len() + sensitivities.stress_slopes.len());
-            let blocks = (block * sensitivities.blocks.len()) as f64;
-            parts.push(("sensitivities", blocks + shared as f64 / count));
-        }
-        parts
     }
 
     /// Mean number of neighbours within the support.

@@ -2,11 +2,13 @@
 
 mod adjoint;
 mod build;
+mod held;
 mod law;
 mod measure;
 mod state;
 
 pub use adjoint::Snapshot;
+pub use held::Held;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
@@ -196,6 +198,15 @@ impl<const D: usize> Flow<D> {
     }
 
     fn must_fit(scene: &Scene) -> Result<()> {
+        if scene.is_unsettled() {
+            let asked = scene.accuracy_asked().unwrap_or_default();
+            return Err(Error::input(
+                format!("scene {}", scene.name),
+                format!("a step chosen for the accuracy {asked} that it asks for"),
+                "none yet",
+                "let `trade::settle` choose one first",
+            ));
+        }
         if scene.dimension == D {
             return Ok(());
         }
@@ -220,7 +231,7 @@ impl<const D: usize> Flow<D> {
         insert_motion::<D>(&mut world, &scene);
         let weights = model.network().map_or(0, |network| network.weights.len());
         world.insert_resource(Law(model));
-        spawn_particles(&mut world, &state);
+        spawn_particles(&mut world, &state, adjoint);
         if adjoint {
             insert_adjoint::<D>(&mut world, Parameter::COUNT + weights);
         }
@@ -345,27 +356,6 @@ impl<const D: usize> Flow<D> {
             schedule.initialize(&mut self.world).map_err(|error| format!("{error:?}"))?;
         }
         Ok(())
-    }
-
-    /// Names of the systems of one step, in order.
-    pub fn systems(&mut self) -> Vec<String> {
-        if self.check_order().is_err() {
-            return Vec::new();
-        }
-        let short = |name: String| {
-            let path = name.split('<').next().unwrap_or_default().to_owned();
-            path.rsplit("::")
-                .take(2)
-                .collect::<Vec<_>>()
-                .into_iter()
-                .rev()
-                .collect::<Vec<_>>()
-                .join("::")
-        };
-        let systems = self.advance.systems();
-        systems
-            .map(|all| all.map(|(_, s)| short(s.name().to_string())).collect())
-            .unwrap_or_default()
     }
 
     /// The loss accumulated so far, zero where nothing is observed.

@@ -113,6 +113,22 @@ impl<const D: usize> Learner<D> {
         Ok(learner)
     }
 
+    /// Calls `work` with this learner and, where there is one, with the one that searches before, and with
+    /// what they are.
+    ///
+    /// # Errors
+    /// Those of `work`.
+    pub fn each(
+        &mut self,
+        work: &mut dyn FnMut(&'static str, &mut Self) -> Result<()>,
+    ) -> Result<()> {
+        work("the search", self)?;
+        match &mut self.warm_up {
+            Some(before) => work("the warm-up", before),
+            None => Ok(()),
+        }
+    }
+
     /// The flow that predicts.
     pub fn flow_mut(&mut self) -> &mut Flow<D> {
         &mut self.flow
@@ -148,9 +164,7 @@ impl<const D: usize> Learner<D> {
             return self.evaluate_backwards(learned, window);
         }
         self.flow.reset(&self.from);
-        for _ in 0..window {
-            self.flow.step()?;
-        }
+        (0..self.steps(window)).try_for_each(|_| self.flow.step())?;
         let loss = self.flow.loss();
         let count = learned.len();
         let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
@@ -158,9 +172,15 @@ impl<const D: usize> Learner<D> {
         self.evaluation(learned, &loss, (loss.gradient(count), normal))
     }
 
+    /// Steps to the last of so many frames.
+    fn steps(&self, window: usize) -> u64 {
+        window as u64 * self.learn.every
+    }
+
     fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         let storage = self.learn.storage;
-        let found = adjoint_gradient(&mut self.flow, &self.from, window as u64, storage)?;
+        let steps = self.steps(window);
+        let found = adjoint_gradient(&mut self.flow, &self.from, steps, storage)?;
         let gradient = self.columns.iter().map(|p| found.gradient[p.index()]).collect();
         self.evaluation(learned, &found.loss, (gradient, Vec::new()))
     }

@@ -26,6 +26,12 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// Bytes of a particle while its frame waits to be written: position, velocity, density.
+    pub const BYTES: usize = 7 * size_of::<f64>();
+
+    /// Bytes of a particle's row in the file, before they are compressed: those, its number and its colour.
+    pub const ROW: usize = Self::BYTES + 4 + 4;
+
     /// A frame from vectors of `D` = 2 or 3 numbers; in two dimensions the third is set to 0.
     pub fn new<const D: usize>(
         step: u64,
@@ -246,5 +252,20 @@ impl<'a> Rows<'a> {
         let from = row * self.stride + offset;
         let bytes = self.cloud.data.get(from..from + 8).and_then(|bytes| bytes.try_into().ok());
         bytes.map_or(f64::NAN, f64::from_le_bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_is_as_long_as_is_said() {
+        let frame = Frame::new::<2>(0, 0.0, [[0.0; 2]; 3], [[1.0; 2]; 3], vec![1.0; 3]);
+        let cloud = frame.into_cloud();
+        assert_eq!(8 * (3 + cloud.columns.len()), Frame::BYTES);
+        let bytes = cloud.encode([0.0; 3].into_iter());
+        let read = PointCloud::decode(bytes.as_slice()).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((read.point_stride as usize, read.data.len()), (Frame::ROW, 3 * Frame::ROW));
     }
 }

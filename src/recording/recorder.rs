@@ -73,6 +73,10 @@ enum Shade {
 }
 
 impl Recorder {
+    /// Most bytes per particle on their way to the disk: the frames that wait, the one that is written, its
+    /// rows and the message that they become.
+    pub const MOST_BYTES: usize = (QUEUE + 1) * Frame::BYTES + 2 * Frame::ROW;
+
     /// Creates the file, and the folders it lies in, and begins it with what is known of the run.
     ///
     /// # Errors

@@ -73,7 +73,7 @@ fn record_flows<const D: usize>(
             let (Some(state), Some(rho)) = (course.states.get(k), course.densities.get(k)) else {
                 continue;
             };
-            let frame = frame(step, state, rho);
+            let frame = frame(step * evaluation.scene.observed_every(), state, rho);
             match place {
                 0 => recorder.frame(recording::Flow::Truth, frame)?,
                 _ => recorder.frame_of(name, frame)?,
@@ -111,7 +111,8 @@ fn record_errors<const D: usize>(
             rows.extend(floor.get(k).map(|&floor| ("floor".to_owned(), floor)));
             let (names, values) = rows.into_iter().unzip();
             let step = k as u64 + 1;
-            let time = start + step as f64 * evaluation.scene.dt();
+            let time = start + step as f64 * evaluation.scene.observed_interval();
+            let step = step * evaluation.scene.observed_every();
             recorder.values(topic, Values { step, time, names, values })?;
         }
     }

@@ -2,12 +2,15 @@
 
 mod evaluated;
 mod reproduction;
+mod requirements;
 mod training;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
+pub use requirements::Requirements;
 pub use training::{
-    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, what,
+    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training,
+    what,
 };
 
 use crate::error::{Error, Result};
@@ -18,6 +21,7 @@ use crate::statistics;
 use crate::truth::Truth;
 use crate::vector::Vector;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// What a recording says about the run that writes it.
 pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
@@ -36,14 +40,37 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         ("seed", scene.seed.to_string()),
         ("dt", format!("{:?}", scene.dt())),
     ];
+    let asked = [
+        ("accuracy", scene.accuracy_asked().map(|accuracy| format!("{accuracy:?}"))),
+        ("speed", scene.speed.map(|speed| speed.name().to_owned())),
+        ("chosen", scene.chosen.map(|chosen| chosen.to_string())),
+    ];
+    let asked = asked.into_iter().filter_map(|(key, value)| Some((key, value?)));
+    let metadata = metadata.into_iter().chain(asked);
     RunInfo {
         scene_toml: scene.to_toml(),
         dimension: scene.dimension,
         box_length: scene.fluid.box_length,
         speed_scale,
         parameters: learned.map(|p| p.name().into_owned()).collect(),
-        metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
+        metadata: metadata.map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
     }
+}
+
+/// Begins a recording: what is known of the run and, in its log, which step was chosen for it.
+///
+/// # Errors
+/// As [`Recorder::create`].
+pub fn begin_recording(
+    path: &Path,
+    (info, scene): (&RunInfo, &Scene),
+    time: f64,
+) -> Result<Recorder> {
+    let mut recorder = Recorder::create(path, info)?;
+    if let Some(chosen) = scene.chosen {
+        recorder.log(Level::Info, time, chosen.to_string())?;
+    }
+    Ok(recorder)
 }
 
 /// A state as a frame of a recording.
@@ -145,14 +172,17 @@ pub fn truth_from_recording<const D: usize>(
         });
         truth.densities.push(frame.densities);
     }
-    for pair in truth.states.windows(2) {
-        let apart = pair[1].time - pair[0].time;
-        // Recorded times are whole nanoseconds.
-        if (apart - scene.dt()).abs() > 2e-9 {
-            let expected = format!("frames {} apart (the scene's time step)", scene.dt());
-            let remedy = "set time.dt to the time between frames";
-            return refuse(expected, apart.to_string(), remedy);
-        }
+    let mut apart = truth.states.windows(2).map(|pair| pair[1].time - pair[0].time);
+    let wanted = scene.observed_interval();
+    // Recorded times are whole nanoseconds.
+    if let Some(apart) = apart.find(|apart| (apart - wanted).abs() > 2e-9) {
+        let steps = match scene.observed_every() {
+            1 => "the scene's time step".to_owned(),
+            every => format!("{every} of the scene's time steps"),
+        };
+        let expected = format!("frames {wanted} apart ({steps})");
+        let remedy = "set time.dt, or learn.every, to the time between frames";
+        return refuse(expected, apart.to_string(), remedy);
     }
     Ok(truth)
 }

@@ -1,13 +1,14 @@
 //! A training from beginning to end: truth, search, learned flow, all of it recorded.
 
-use super::{frame, run_info, run_recorded, truth_from_recording};
+use super::{begin_recording, frame, run_info, run_recorded, truth_from_recording};
 use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::learn::{Iteration, Learner, Outcome};
 use crate::models::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
-use crate::scene::{Learn, Scene};
+use crate::scene::{Chosen, Learn, Scene};
 use crate::statistics::pressure_error;
+use crate::trade::{Choice, settle};
 use crate::truth::{Truth, statistical_floor};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -37,7 +38,7 @@ impl<const D: usize> Lesson<D> {
         let clock = Instant::now();
         let (truth, known) = match recorded {
             Some(path) => {
-                let part = (learn.after as usize, learn.frames);
+                let part = (first_frame(&learn)?, learn.frames);
                 (truth_from_recording(&Recording::open(path)?, scene, part)?, None)
             }
             None => {
@@ -48,6 +49,35 @@ impl<const D: usize> Lesson<D> {
         };
         Ok(Self { learn, truth, known, seconds: clock.elapsed().as_secs_f64() })
     }
+}
+
+/// Which frame of a recording the scene learns from first: it has one for every `learn.every` steps.
+fn first_frame(learn: &Learn) -> Result<usize> {
+    if learn.after.is_multiple_of(learn.every) {
+        return Ok((learn.after / learn.every) as usize);
+    }
+    Err(Error::input(
+        "learn.after",
+        format!("a multiple of learn.every = {}, which are a frame of the recording", learn.every),
+        learn.after,
+        "begin with a step that was recorded",
+    ))
+}
+
+/// A training's scene with the step chosen for the accuracy that it asks for, before there is a truth:
+/// from the state from which the truth is run or, where `recorded` fixes its times, from the first state
+/// that is learned from. Truth and learned flow take the same step, and what is observed stays the same.
+///
+/// # Errors
+/// As [`settle`], [`Flow::new`] and [`truth_from_recording`].
+pub fn settle_training<const D: usize>(scene: &Scene, recorded: Option<&Path>) -> Result<Choice> {
+    settle(scene, |written| match recorded {
+        None => Ok(Flow::<D>::new(written)?.state()),
+        Some(path) => {
+            let part = (first_frame(written.learning()?)?, written.learning()?.frames);
+            Ok(truth_from_recording(&Recording::open(path)?, written, part)?.states.swap_remove(0))
+        }
+    })
 }
 
 /// How far a training is.
@@ -112,15 +142,18 @@ impl<const D: usize> Training<'_, D> {
         let Self { scene, lesson, record, .. } = self;
         let mut info = run_info(scene, "train");
         info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
-        let mut recorder = Recorder::create(record, &info)?;
+        let start = lesson.truth.states[0].time;
+        let mut recorder = begin_recording(record, (&info, scene), start)?;
+        let every = lesson.learn.every;
         let states = lesson.truth.states.iter().zip(&lesson.truth.densities);
         for (k, (state, densities)) in states.enumerate() {
-            recorder.frame(recording::Flow::Truth, frame(k as u64, state, densities))?;
+            let frame = frame(every * k as u64, state, densities);
+            recorder.frame(recording::Flow::Truth, frame)?;
         }
         let (what, gradient) = (what(learner), learner.gradient().name());
-        let frames = lesson.learn.frames;
-        let text = format!("learning {what} from {frames} steps, gradient: {gradient}");
-        recorder.log(Level::Info, lesson.truth.states[0].time, text)?;
+        let steps = lesson.learn.steps();
+        let text = format!("learning {what} from {steps} steps, gradient: {gradient}");
+        recorder.log(Level::Info, start, text)?;
         Ok(recorder)
     }
 
@@ -206,7 +239,7 @@ impl<const D: usize> Training<'_, D> {
         let Self { scene, lesson, .. } = self;
         let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
         flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
-        let steps = (lesson.learn.frames as u64, scene.record.every);
+        let steps = (lesson.learn.steps(), scene.record.every);
         run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
         // A learned equation of state can be held against the true one.
         let learned = flow.model().has_stress_network() && lesson.known.is_some();
@@ -224,7 +257,8 @@ impl<const D: usize> Training<'_, D> {
             scene: self.scene.name.clone(),
             model: self.lesson.learn.model.kind().to_owned(),
             particles: self.lesson.truth.densities[0].len(),
-            steps: self.lesson.learn.frames,
+            steps: self.lesson.learn.steps() as usize,
+            chosen: self.scene.chosen,
             gradient: learner.gradient().name().to_owned(),
             iterations: outcome.iterations,
             loss_initial: outcome.initial_loss,
@@ -283,8 +317,11 @@ pub struct TrainingReport {
     pub model: String,
     /// Number of particles.
     pub particles: usize,
-    /// Observed steps.
+    /// Steps to the last that is observed.
     pub steps: usize,
+    /// The step that was chosen for the accuracy asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chosen: Option<Chosen>,
     /// How the gradient was found.
     pub gradient: String,
     /// Iterations of the search.

@@ -1,6 +1,6 @@
 //! What a scene must satisfy beyond its types.
 
-use super::{Forcing, Learn, Optimiser, Scene, Weights};
+use super::{Forcing, Learn, Optimiser, Scene, Speed, Weights};
 use crate::error::{Error, Result};
 use crate::losses::FEWEST_NODES;
 use crate::models::{ModelChoice, Parameter};
@@ -12,7 +12,8 @@ type Requirement = (bool, &'static str, &'static str, String);
 impl Scene {
     /// Refuses numbers that no run could use; `origin` names the scene in the error.
     pub fn check(&self, origin: &str) -> Result<()> {
-        let mut requirements = self.fluid_requirements();
+        let mut requirements = self.accuracy_requirements();
+        requirements.extend(self.fluid_requirements());
         requirements.extend(self.motion_requirements());
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
@@ -38,6 +39,42 @@ impl Scene {
                 "change it in the scene or with --set",
             )),
         }
+    }
+
+    fn accuracy_requirements(&self) -> Vec<Requirement> {
+        let named = self.speed.map_or("", Speed::name);
+        let same = |a: f64, b: f64| a.to_bits() == b.to_bits();
+        let stands = self.chosen.is_none_or(|chosen| {
+            self.accuracy_asked().is_some_and(|asked| same(asked, chosen.accuracy))
+                && chosen.step == self.time.step
+                && same(chosen.dt, self.dt())
+        });
+        vec![
+            (
+                self.accuracy.is_none_or(positive),
+                "accuracy",
+                "a positive number of smoothing lengths",
+                format!("{}", self.accuracy.unwrap_or_default()),
+            ),
+            (
+                self.accuracy.is_none() || self.speed.is_none(),
+                "accuracy and speed",
+                "one of them: a speed is an accuracy by name",
+                format!("accuracy {} and speed {named}", self.accuracy.unwrap_or_default()),
+            ),
+            (
+                stands,
+                "chosen",
+                "the accuracy that is asked for, and the step that was chosen for it: change the scene \
+                 that it was chosen for, or take [chosen] out",
+                format!(
+                    "accuracy {:?}, step {} of {}",
+                    self.accuracy_asked(),
+                    self.time.step.name(),
+                    self.dt()
+                ),
+            ),
+        ]
     }
 
     fn fluid_requirements(&self) -> Vec<Requirement> {
@@ -159,6 +196,7 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
             unknown.cloned().unwrap_or_default(),
         ),
         (learn.frames > 0, "learn.frames", "at least one observed frame", "0".to_owned()),
+        (learn.every > 0, "learn.every", "at least one step between frames", "0".to_owned()),
         (
             ordered && learn.windows.iter().all(|&w| w > 0 && w <= learn.frames),
             "learn.windows",

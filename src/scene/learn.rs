@@ -21,8 +21,11 @@ pub struct Learn {
     /// Steps of the truth before the first observed state, from which the prediction starts.
     #[serde(default)]
     pub after: u64,
-    /// Observed frames, one per step.
+    /// Observed frames.
     pub frames: usize,
+    /// Steps from one observed frame to the next.
+    #[serde(default = "defaults::every", skip_serializing_if = "defaults::is_every")]
+    pub every: u64,
     /// Weights of the losses.
     #[serde(default)]
     pub loss: Weights,
@@ -136,11 +139,16 @@ pub enum Times {
 }
 
 impl Learn {
-    /// Weight of each frame that counts in the statistical loss, at a time step `dt`.
-    pub fn statistical_weight(&self, dt: f64) -> f64 {
+    /// Steps from the first state to the last that is observed.
+    pub fn steps(&self) -> u64 {
+        self.frames as u64 * self.every
+    }
+
+    /// Weight of each frame that counts in the statistical loss, at a time `interval` between frames.
+    pub fn statistical_weight(&self, interval: f64) -> f64 {
         match self.increments.times {
             Times::Last => self.loss.kl,
-            Times::All => self.loss.kl * dt,
+            Times::All => self.loss.kl * interval,
         }
     }
 }
@@ -189,6 +197,12 @@ impl Default for Optimiser {
 }
 
 mod defaults {
+    pub(super) fn every() -> u64 {
+        1
+    }
+    pub(super) fn is_every(every: &u64) -> bool {
+        *every == 1
+    }
     pub(super) fn iterations() -> usize {
         300
     }

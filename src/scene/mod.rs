@@ -3,10 +3,12 @@
 //! A misspelt key, a wrong type or an impossible number is refused with file, line, what was expected
 //! and what to do. The shipped scenes are compiled in; [`Scene::shipped`] finds them by name.
 
+mod accuracy;
 mod check;
 mod learn;
 mod read;
 
+pub use accuracy::{Chosen, Speed};
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
@@ -37,6 +39,16 @@ pub struct Scene {
     /// What pairs of particles are evaluated in.
     #[serde(default)]
     pub precision: Precision,
+    /// How far particles may be from a much finer run after twenty steps, in smoothing lengths (root mean
+    /// square): kind of step and time step are then chosen, see [`crate::trade::settle`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<f64>,
+    /// The same by name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<Speed>,
+    /// What was chosen, where something was: written by the run, not by hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chosen: Option<Chosen>,
     /// The fluid and its law.
     pub fluid: Fluid,
     /// Where particles start.

@@ -10,7 +10,7 @@ mod flows;
 mod gradients;
 mod tables;
 
-pub use choose::{CALIBRATION, Choice, Trial, choose};
+pub use choose::{CALIBRATION, Choice, Trial, choose, settle};
 pub use flows::{FlowErrors, FlowPrice, price_flows};
 pub use gradients::{GradientPrice, price_gradients};
 pub use tables::report;

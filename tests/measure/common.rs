@@ -1,5 +1,7 @@
 //! What all benchmarks share: arguments, the flow they run, runs in turn.
 
+#![allow(dead_code, reason = "each benchmark uses some of these")]
+
 use clap::Parser;
 use std::time::Instant;
 use whirls::scene::Learn;

@@ -14,9 +14,9 @@ use common::{Run, Took, in_turn};
 use std::hint::black_box;
 use whirls::models::Medium;
 use whirls::pairs::Pair;
-use whirls::scalar::{Lanes, Pass, Precision, WIDTH, Wide, dispatch_in};
+use whirls::scalar::{Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_in};
 use whirls::space::PeriodicBox;
-use whirls::systems::acceleration::{Law, accelerate};
+use whirls::systems::acceleration::accelerate;
 use whirls::systems::density::sum_density;
 use whirls::systems::neighbours::{Neighbours, find_neighbours, pack_velocities};
 use whirls::systems::particles::Cloud;
@@ -118,14 +118,13 @@ impl Contestant {
         Self { particles: scene.particles(), scene, flow, neighbours }
     }
 
-    fn print(mut self, arguments: &Arguments) {
+    fn print(self, arguments: &Arguments) {
         let pairs = self.neighbours * self.particles as f64;
         let medium = Medium::<3>::of(&self.scene, self.particles);
         let steps = steps_of(self.particles);
         let bytes: f64 = self.flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum();
         let before = self.flow.world().resource::<Neighbours<3>>().rebuilds;
-        let (cell, world) = (std::cell::RefCell::new(self.flow), self.particles);
-        let _ = world;
+        let cell = std::cell::RefCell::new(self.flow);
         let evaluate = || {
             let mut flow = cell.borrow_mut();
             flow.world_mut().run_system_once(sum_density::<3>).unwrap();
@@ -241,7 +240,6 @@ impl Pass for Floor<'_> {
 fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
     let neighbours = world.resource::<Neighbours<3>>().clone();
     let support2 = medium.smoothing.support() * medium.smoothing.support();
-    let _ = world.resource::<Law<3>>();
     let cloud = world.resource::<Cloud<3>>();
     let place = |slot: usize| Vector(cloud.packed[slot].position);
     let mut sums = (Vec::with_capacity(cloud.len()), Vec::with_capacity(cloud.len()));

@@ -1,7 +1,9 @@
 //! What commands with a scene share: options, explanation.
 
-use crate::common::say;
+use crate::common::{say, say_json};
 use clap::Args;
+use whirls::run::Requirements;
+use whirls::trade::{CALIBRATION, Choice, Trial};
 use whirls::{Result, Scene};
 
 /// Options that every command with a scene takes.
@@ -39,13 +41,27 @@ impl SceneArguments {
     }
 }
 
-/// Prints the systems of one step, in order, and the memory of one particle, by part.
-pub(crate) fn explain<const D: usize>(flow: &mut whirls::Flow<D>) -> Result<()> {
-    say("one step runs, in this order:");
-    flow.systems().iter().for_each(|system| say(format!("  {system}")));
-    say("bytes per particle:");
-    let parts = flow.bytes_per_particle();
-    parts.iter().for_each(|(part, bytes)| say(format!("  {part:16} {bytes:8.1}")));
-    say(format!("  {:16} {:8.1}", "in all", parts.iter().map(|(_, bytes)| bytes).sum::<f64>()));
-    Ok(())
+/// Prints which step was chosen for the accuracy that a scene asks for; to `explain`, also what was tried.
+pub(crate) fn describe_choice(choice: &Choice, explain: bool) {
+    let line = |trial: &Trial| {
+        let Trial { step, dt, cost, error } = trial;
+        let name = step.name();
+        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.1e}") };
+        format!("{name:15} dt {dt:.6}  cost {cost:6.3}  error {held}")
+    };
+    if explain && !choice.trials.is_empty() {
+        say(format!("tried over {CALIBRATION} steps of the scene, cheapest first:"));
+        choice.trials.iter().for_each(|trial| say(format!("  {}", line(trial))));
+    }
+    if let Some(chosen) = choice.scene.chosen {
+        let before = if choice.trials.is_empty() { " before" } else { "" };
+        say(format!("chosen{before}: {chosen}"));
+    }
+}
+
+/// Prints what a scene requires: the systems in order, the columns with their bytes per particle, and what
+/// each step adds.
+pub(crate) fn explain(requirements: &[Requirements], json: bool) -> Result<()> {
+    requirements.iter().flat_map(Requirements::lines).for_each(say);
+    if json { say_json(&requirements) } else { Ok(()) }
 }

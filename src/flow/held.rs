@@ -1,0 +1,253 @@
+//! What a World holds for its particles: columns of components, and arrays beside them.
+
+use super::Flow;
+use crate::systems::Program;
+use crate::systems::loss::Observations;
+use crate::systems::neighbours::{Chunk, Neighbours};
+use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, Identity, SensitivityCloud};
+use crate::systems::tape::Tape;
+use crate::systems::verlet::Integrator;
+use bevy_ecs::archetype::{Archetype, ArchetypeEntity};
+use bevy_ecs::entity::{Entity, EntityLocation};
+use bevy_ecs::prelude::Schedule;
+use bevy_ecs::resource::IsResource;
+use serde::Serialize;
+
+/// One column: a component, or an array.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Held {
+    /// What it belongs to.
+    pub part: &'static str,
+    /// Its name.
+    pub name: String,
+    /// Bytes per particle.
+    pub bytes: f64,
+}
+
+impl Held {
+    /// A column of a part.
+    pub fn new(part: &'static str, name: impl Into<String>, bytes: f64) -> Self {
+        Self { part, name: name.into(), bytes }
+    }
+
+    /// The sum of every part, in the order in which parts are met first.
+    pub fn parts(columns: &[Self]) -> Vec<(&'static str, f64)> {
+        let mut parts: Vec<(&'static str, f64)> = Vec::new();
+        for Self { part, bytes, .. } in columns {
+            match parts.iter_mut().find(|(known, _)| known == part) {
+                Some((_, sum)) => *sum += bytes,
+                None => parts.push((part, *bytes)),
+            }
+        }
+        parts
+    }
+}
+
+/// What the ECS keeps for each entity: its number in a table and in an archetype, and where those are,
+/// with its generation and the tick of its spawn.
+const ENTITY: usize = size_of::<Entity>()
+    + size_of::<ArchetypeEntity>()
+    + (size_of::<Option<EntityLocation>>() + 4 + 4);
+
+/// What it keeps for each component of each entity: the ticks at which it was added and changed.
+const TICKS: usize = 8;
+
+/// Arrays of a part: name, and bytes in all.
+type Arrays = Vec<(&'static str, usize)>;
+
+fn room<T>(column: &Vec<T>) -> usize {
+    size_of::<T>() * column.capacity()
+}
+
+impl<const D: usize> Flow<D> {
+    /// Every column that the World holds for its particles, as it now stands.
+    pub fn held(&self) -> Vec<Held> {
+        let mut held = self.components();
+        let count = self.particles().max(1) as f64;
+        let parts: [(&'static str, Arrays); 6] = [
+            ("cloud", self.cloud_arrays()),
+            ("neighbour lists", self.list_arrays()),
+            ("sensitivities", self.sensitivity_arrays()),
+            ("adjoint", self.adjoint_arrays()),
+            ("tape", vec![("evaluations and frames", self.tape_bytes())]),
+            ("observations", self.observation_arrays()),
+        ];
+        for (part, arrays) in parts {
+            let arrays = arrays.into_iter().filter(|(_, bytes)| *bytes > 0);
+            held.extend(arrays.map(|(name, bytes)| Held::new(part, name, bytes as f64 / count)));
+        }
+        held
+    }
+
+    /// Bytes per particle of everything that the World holds for it, by part.
+    pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
+        Held::parts(&self.held())
+    }
+
+    /// What one step adds to the tape of an adjoint, at most: the lists are shared by evaluations until
+    /// they are built anew. Nothing where there is no tape.
+    pub fn tape_of_a_step(&self) -> Vec<Held> {
+        if !self.world.contains_resource::<Tape<D>>() {
+            return Vec::new();
+        }
+        let count = self.particles().max(1) as f64;
+        let evaluations =
+            if self.world.resource::<Integrator>().step.refreshes() { 2.0 } else { 1.0 };
+        let cloud = self.world.resource::<Cloud<D>>();
+        let chunks = &self.world.resource::<Neighbours<D>>().chunks;
+        let lists: usize = chunks.iter().map(Chunk::bytes).sum();
+        let lines = size_of_val(cloud.packed.as_slice()) + size_of_val(&cloud.slot_of_row[..]);
+        let tape = |name: &str, bytes: f64| Held::new("tape, a step", name, bytes);
+        let mut all = vec![
+            tape("cloud of each evaluation", evaluations * lines as f64 / count),
+            tape("lists of each evaluation", evaluations * lists as f64 / count),
+        ];
+        if let Some(observations) = self.world.get_resource::<Observations<D>>() {
+            let steps = observations.frames.first().map_or(1, |frame| frame.step.max(1));
+            all.push(tape("loss by each observed state", (16 * D) as f64 / steps as f64));
+        }
+        all
+    }
+
+    /// The schedules that a flow has, and the systems of each, in order.
+    pub fn programs(&mut self) -> Vec<(Program, Vec<String>)> {
+        if self.check_order().is_err() {
+            return Vec::new();
+        }
+        let mut programs = vec![
+            (Program::Start, systems_of(&self.start)),
+            (Program::Advance, systems_of(&self.advance)),
+        ];
+        if let Some(backward) = &self.backward {
+            programs.push((Program::Prepare, systems_of(&backward.prepare)));
+            programs.push((Program::Retreat, systems_of(&backward.retreat)));
+            programs.push((Program::Return, systems_of(&backward.back_to_start)));
+        }
+        programs
+    }
+
+    /// Names of the systems of one step, in order.
+    pub fn systems(&mut self) -> Vec<String> {
+        let programs = self.programs().into_iter();
+        let advance = programs.filter(|(program, _)| *program == Program::Advance);
+        advance.flat_map(|(_, systems)| systems).collect()
+    }
+
+    /// Number of particles.
+    fn particles(&self) -> usize {
+        let Some(identity) = self.world.component_id::<Identity>() else { return 0 };
+        let all = self.world.archetypes().iter().filter(|kind| kind.contains(identity));
+        all.map(|kind| kind.len() as usize).sum()
+    }
+
+    /// Components of every kind of entity that is no resource, with the ticks and the entries that the ECS
+    /// keeps beside them.
+    fn components(&self) -> Vec<Held> {
+        let count = self.particles().max(1) as f64;
+        let resource = self.world.component_id::<IsResource>();
+        let is_resource = |kind: &&Archetype| resource.is_some_and(|id| kind.contains(id));
+        let (mut held, mut kept) = (Vec::new(), Vec::new());
+        let kinds = self.world.archetypes().iter().filter(|kind| !kind.is_empty());
+        for kind in kinds.filter(|kind| !is_resource(kind)) {
+            let each = f64::from(kind.len()) / count;
+            let of_blocks =
+                self.world.component_id::<BlockOf>().is_some_and(|id| kind.contains(id));
+            for &id in kind.components() {
+                let Some(info) = self.world.components().get_info(id) else { continue };
+                let name = short(&info.name().to_string());
+                let part = match (of_blocks, name.ends_with("Adjoint")) {
+                    (true, _) => "sensitivities",
+                    (_, true) => "adjoint",
+                    _ => "components",
+                };
+                held.push(Held::new(part, name, each * (info.layout().size() + TICKS) as f64));
+            }
+            let part = if of_blocks { "sensitivities" } else { "components" };
+            kept.push(Held::new(part, "entity", each * ENTITY as f64));
+        }
+        held.append(&mut kept);
+        held
+    }
+
+    fn cloud_arrays(&self) -> Arrays {
+        let Some(cloud) = self.world.get_resource::<Cloud<D>>() else { return Vec::new() };
+        vec![
+            ("packed", room(&cloud.packed)),
+            ("acceleration", room(&cloud.acceleration)),
+            ("density", room(&cloud.density)),
+            ("slot_of_row", room(&cloud.slot_of_row)),
+        ]
+    }
+
+    fn list_arrays(&self) -> Arrays {
+        let Some(neighbours) = self.world.get_resource::<Neighbours<D>>() else {
+            return Vec::new();
+        };
+        let lists: usize = neighbours.chunks.iter().map(Chunk::bytes).sum();
+        let cells = neighbours.cells.bytes();
+        vec![
+            ("lists", lists),
+            ("cells", cells),
+            // By row, now and at the last rebuild, and by cell.
+            ("positions", neighbours.bytes() - lists - cells),
+        ]
+    }
+
+    fn sensitivity_arrays(&self) -> Arrays {
+        let Some(cloud) = self.world.get_resource::<SensitivityCloud<D>>() else {
+            return Vec::new();
+        };
+        let blocks = cloud.blocks.iter();
+        vec![
+            ("packed", blocks.clone().map(|block| room(&block.packed)).sum()),
+            ("density", blocks.clone().map(|block| room(&block.density)).sum()),
+            ("acceleration", blocks.map(|block| room(&block.acceleration)).sum()),
+            ("stress_slopes", room(&cloud.stress_slopes)),
+            ("weight_shares", room(&cloud.weight_shares)),
+        ]
+    }
+
+    fn adjoint_arrays(&self) -> Arrays {
+        let Some(cloud) = self.world.get_resource::<AdjointCloud<D>>() else { return Vec::new() };
+        vec![
+            ("packed", room(&cloud.packed)),
+            ("position", room(&cloud.position)),
+            ("velocity", room(&cloud.velocity)),
+            ("scalars", room(&cloud.scalars)),
+            ("shares", cloud.shares.iter().map(room).sum()),
+        ]
+    }
+
+    fn observation_arrays(&self) -> Arrays {
+        let Some(observed) = self.world.get_resource::<Observations<D>>() else {
+            return Vec::new();
+        };
+        let frames = observed.frames.iter();
+        vec![
+            ("positions of each frame", frames.clone().map(|frame| room(&frame.positions)).sum()),
+            ("velocities of each frame", frames.clone().map(|frame| room(&frame.velocities)).sum()),
+            ("field of each frame", frames.map(|frame| room(&frame.field)).sum()),
+            ("velocities at the start", room(&observed.start)),
+        ]
+    }
+}
+
+/// `module::system` of each system of a schedule that has been initialised.
+fn systems_of(schedule: &Schedule) -> Vec<String> {
+    let all = schedule.systems();
+    let named = all.map(|all| all.map(|(_, system)| system.name().to_string()).collect());
+    let named: Vec<String> = named.unwrap_or_default();
+    let last_two = |name: &String| {
+        let path = name.split('<').next().unwrap_or_default();
+        let mut parts: Vec<&str> = path.rsplit("::").take(2).collect();
+        parts.reverse();
+        parts.join("::")
+    };
+    named.iter().map(last_two).collect()
+}
+
+/// The name of a type without its modules and what it is generic over.
+fn short(name: &str) -> String {
+    let path = name.split('<').next().unwrap_or_default();
+    path.rsplit("::").next().unwrap_or_default().to_owned()
+}

@@ -1,0 +1,162 @@
+//! What a scene requires: its systems in order, its columns, and what each step adds.
+
+use super::Lesson;
+use crate::error::Result;
+use crate::flow::{Flow, Held, Snapshot};
+use crate::learn::Learner;
+use crate::recording::{Frame, Recorder};
+use crate::scene::Scene;
+use crate::sensitivity::{Gradient, Storage};
+use crate::systems::Program;
+use serde::Serialize;
+
+/// What one World requires, and what stands beside it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Requirements {
+    /// Whose World it is.
+    pub about: &'static str,
+    /// What runs, in words, and its systems in order.
+    pub programs: Vec<(&'static str, Vec<String>)>,
+    /// Columns that are held throughout.
+    pub held: Vec<Held>,
+    /// What each step adds, to the tape or to the recording.
+    pub each_step: Vec<Held>,
+}
+
+impl Requirements {
+    /// Those of a flow, once it has started, and of its recording where `record` says so.
+    pub fn of_flow<const D: usize>(scene: &Scene, flow: &mut Flow<D>, record: bool) -> Self {
+        let mut found = Self::of_world("the flow", flow);
+        if record {
+            found.recorded(&[("/truth/particles", scene.record.every)]);
+        }
+        found
+    }
+
+    /// Those of a training: the search and, where there is one, its warm-up, each with a World of its own;
+    /// both are evaluated over one frame, so that they hold what they need. Truth and recording stand
+    /// with the search.
+    ///
+    /// # Errors
+    /// As [`Learner::evaluate`].
+    pub fn of_training<const D: usize>(
+        (scene, lesson): (&Scene, &Lesson<D>),
+        (learner, guess): (&mut Learner<D>, &[f64]),
+    ) -> Result<Vec<Self>> {
+        let mut all = Vec::new();
+        learner.each(&mut |about, learner| {
+            learner.evaluate(guess, 1)?;
+            let mut found = Self::of_world(about, learner.flow_mut());
+            found.held.push(Held::new("search", "first state", (16 * D) as f64));
+            if learner.gradient() == Gradient::Adjoint {
+                found.way_back::<D>(lesson, learner.flow_mut());
+            }
+            all.push(found);
+            Ok(())
+        })?;
+        if let Some(search) = all.first_mut() {
+            let states = lesson.truth.states.len();
+            search.held.push(Held::new("truth", "states", (states * 16 * D) as f64));
+            search.held.push(Held::new("truth", "densities", (states * 8) as f64));
+            let topics = [
+                ("/truth/particles", lesson.learn.every),
+                ("/learned/particles", scene.record.every),
+            ];
+            search.recorded(&topics);
+        }
+        Ok(all)
+    }
+
+    fn of_world<const D: usize>(about: &'static str, flow: &mut Flow<D>) -> Self {
+        let named = |(program, systems)| {
+            let name = match program {
+                Program::Start => "the start",
+                Program::Advance => "one step",
+                Program::Prepare => "coming back to a snapshot",
+                Program::Retreat => "the way back through one step",
+                Program::Return => "the way back through the start",
+            };
+            (name, systems)
+        };
+        let programs = flow.programs().into_iter().map(named).collect();
+        Self { about, programs, held: flow.held(), each_step: flow.tape_of_a_step() }
+    }
+
+    /// What an adjoint keeps of the way forward, by its storage.
+    fn way_back<const D: usize>(&mut self, lesson: &Lesson<D>, flow: &mut Flow<D>) {
+        let step: f64 = flow.tape_of_a_step().iter().map(|column| column.bytes).sum();
+        let steps = lesson.learn.steps();
+        match lesson.learn.storage {
+            Storage::All => {
+                self.held.push(Held::new("tape", format!("{steps} steps"), steps as f64 * step));
+            }
+            Storage::Checkpoints(count) => {
+                let (count, each) = (count.max(1), Snapshot::<D>::BYTES);
+                self.held.push(Held::new("tape", "one step", step));
+                let snapshots = Held::new("tape", format!("{count} snapshots"), 0.0);
+                self.held.push(Held { bytes: (count * each) as f64, ..snapshots });
+            }
+            Storage::Bytes(budget) => {
+                let each = budget as f64 / lesson.truth.densities[0].len().max(1) as f64;
+                self.held.push(Held::new("tape", "one step, and snapshots", each));
+            }
+        }
+    }
+
+    /// A recording of some topics, with a frame every so many steps; none of it where that is never.
+    fn recorded(&mut self, topics: &[(&str, u64)]) {
+        let part = "recording, a step";
+        let topics: Vec<_> = topics.iter().filter(|(_, every)| *every > 0).collect();
+        for (topic, every) in &topics {
+            let row = Frame::ROW as f64 / *every as f64;
+            self.each_step.push(Held::new(part, format!("row of {topic}"), row));
+        }
+        if !topics.is_empty() {
+            let most = Recorder::MOST_BYTES as f64;
+            self.held.push(Held::new("recording", "frames on their way, at most", most));
+        }
+    }
+
+    /// Names of the systems of one program; none where there is no such program.
+    pub fn systems(&self, program: &str) -> &[String] {
+        let found = self.programs.iter().find(|(name, _)| *name == program);
+        found.map_or(&[], |(_, systems)| systems)
+    }
+
+    /// Bytes per particle of a part; none where there is no such part.
+    pub fn part(&self, name: &str) -> Option<f64> {
+        let all = self.held.iter().chain(&self.each_step);
+        let part: Vec<f64> =
+            all.filter(|column| column.part == name).map(|column| column.bytes).collect();
+        (!part.is_empty()).then(|| part.iter().sum())
+    }
+
+    /// All of it in words, line by line.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (name, systems) in &self.programs {
+            lines.push(format!("{}: {name} runs, in this order:", self.about));
+            lines.extend(systems.iter().map(|system| format!("  {system}")));
+        }
+        lines.push(format!("{}: bytes per particle:", self.about));
+        lines.extend(table(&self.held));
+        let all: f64 = self.held.iter().map(|column| column.bytes).sum();
+        lines.push(format!("  {:30} {all:10.1}", "in all"));
+        if !self.each_step.is_empty() {
+            lines.push(format!("{}: bytes per particle that each step adds:", self.about));
+            lines.extend(table(&self.each_step));
+        }
+        lines
+    }
+}
+
+/// Parts with their sums, and below each its columns.
+fn table(columns: &[Held]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (part, sum) in Held::parts(columns) {
+        lines.push(format!("  {part:30} {sum:10.1}"));
+        let own = columns.iter().filter(|column| column.part == part);
+        lines.extend(own.map(|column| format!("    {:28} {:10.1}", column.name, column.bytes)));
+    }
+    lines
+}
