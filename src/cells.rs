@@ -80,14 +80,11 @@ impl<const D: usize> Cells<D> {
         let mut choice = [0; D];
         loop {
             let mut cell = [0; D];
-            // Cells that are few hold images of one another.
-            let mut seam = n <= 3;
             for axis in 1..D {
                 let along = coordinates[axis] + offsets[choice[axis]];
                 cell[axis] = if along < n { along } else { along - n };
-                seam |= cell[axis].abs_diff(coordinates[axis]) > 1;
             }
-            self.along_row(self.index(cell), (coordinates[0], seam), &mut around);
+            self.along_row(self.index(cell), coordinates[0], &mut around);
             // Count up in base `offsets.len()`, the first axis left out.
             let mut axis = 1;
             while axis < D && choice[axis] + 1 == offsets.len() {
@@ -103,19 +100,19 @@ impl<const D: usize> Cells<D> {
 
     /// The cells next to number `x` in the row of cells that starts at `row`.
     #[inline(always)]
-    fn along_row(&self, row: usize, (x, seam): (usize, bool), around: &mut Around) {
+    fn along_row(&self, row: usize, x: usize, around: &mut Around) {
         let n = self.per_axis;
-        let mut push = |from: usize, to: usize, seam: bool| {
-            around.push(self.start[row + from], self.start[row + to], seam);
+        let mut push = |from: usize, to: usize| {
+            around.push(self.start[row + from], self.start[row + to]);
         };
         if n <= 3 {
-            return push(0, n, true);
+            return push(0, n);
         }
-        push(x.saturating_sub(1), (x + 2).min(n), seam);
+        push(x.saturating_sub(1), (x + 2).min(n));
         if x == 0 {
-            push(n - 1, n, true);
+            push(n - 1, n);
         } else if x + 1 == n {
-            push(0, 1, true);
+            push(0, 1);
         }
     }
 
@@ -135,8 +132,6 @@ pub struct Range {
     pub from: u32,
     /// One behind the last.
     pub to: u32,
-    /// Whether they are near across the seam of the box, so that differences need the nearest image.
-    pub seam: bool,
 }
 
 impl Range {
@@ -160,12 +155,11 @@ pub struct Around {
 
 impl Around {
     /// Nothing.
-    pub const NONE: Self =
-        Self { ranges: [Range { from: 0, to: 0, seam: false }; MOST_RANGES], count: 0 };
+    pub const NONE: Self = Self { ranges: [Range { from: 0, to: 0 }; MOST_RANGES], count: 0 };
 
     #[inline(always)]
-    fn push(&mut self, from: u32, to: u32, seam: bool) {
-        self.ranges[self.count] = Range { from, to, seam };
+    fn push(&mut self, from: u32, to: u32) {
+        self.ranges[self.count] = Range { from, to };
         self.count += 1;
     }
 

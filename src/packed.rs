@@ -50,19 +50,22 @@ impl PackedSingle {
     pub const NOBODY: Self =
         Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], stress: 0.0 };
 
+    /// A coordinate in steps: modulo 2³², as the box is modulo `L`.
+    #[inline(always)]
+    pub fn fixed_point(x: f64, space: PeriodicBox) -> i32 {
+        (x * (Self::STEPS / space.length)).round_ties_even() as i64 as i32
+    }
+
     /// A particle rounded.
     #[inline(always)]
     pub fn new(particle: &Packed, space: PeriodicBox) -> Self {
-        let steps = Self::STEPS / space.length;
         let mut single = Self {
             density: particle.density as f32,
             stress: particle.stress as f32,
             ..Self::NOBODY
         };
         for axis in 0..3 {
-            // Modulo 2³², as the box is modulo L.
-            single.position[axis] =
-                (particle.position[axis] * steps).round_ties_even() as i64 as i32;
+            single.position[axis] = Self::fixed_point(particle.position[axis], space);
             single.velocity[axis] = particle.velocity[axis] as f32;
         }
         single

@@ -19,6 +19,17 @@ pub struct Chunk {
     index: Vec<u32>,
     /// How much of `index` is filled, while lists are built.
     filled: usize,
+    /// Of each slot, whether some neighbour may be across the seam of the box.
+    seam: Vec<bool>,
+}
+
+/// The box around a particle.
+#[derive(Clone, Copy, Debug)]
+pub struct Surroundings {
+    /// The box.
+    pub space: PeriodicBox,
+    /// Whether differences to its neighbours need the nearest image.
+    pub seam: bool,
 }
 
 impl Chunk {
@@ -34,7 +45,7 @@ impl Chunk {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * (self.index.capacity() + self.start.capacity())
+        4 * (self.index.capacity() + self.start.capacity()) + self.seam.capacity()
     }
 
     /// The neighbours of the chunk's `k`-th slot, eight at a time.
@@ -47,21 +58,30 @@ impl Chunk {
     pub fn clear(&mut self) {
         self.start.clear();
         self.start.push(0);
+        self.seam.clear();
         self.filled = 0;
     }
 
     /// Begins the list of a slot, of at most so many candidates.
     #[inline(always)]
     pub fn open(&mut self, candidates: usize) {
-        let room = self.filled + candidates + 2 * WIDTH;
+        let room = self.filled + candidates + 4 * WIDTH;
         if self.index.len() < room {
             self.index.resize(room, 0);
         }
     }
 
-    /// Ends the list of a slot, with the slot of nobody, `nobody`, up to whole lanes.
+    /// The box around the chunk's `k`-th slot.
     #[inline(always)]
-    pub fn close(&mut self, nobody: usize) {
+    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
+        Surroundings { space, seam: self.seam[k] }
+    }
+
+    /// Ends the list of a slot, with the slot of nobody, `nobody`, up to whole lanes; `seam` says whether
+    /// a neighbour may be across the seam of the box, while the list is used.
+    #[inline(always)]
+    pub fn close(&mut self, nobody: usize, seam: bool) {
+        self.seam.push(seam);
         let whole = self.filled.next_multiple_of(WIDTH);
         self.index[self.filled..whole].fill(nobody as u32);
         self.filled = whole;
@@ -101,18 +121,21 @@ impl Chunk {
     /// Appends those of the eight slots from `first` on, below `end`, that are in reach; within what
     /// [`Self::open`] has made room for.
     #[inline(always)]
-    pub fn append<W: Wide>(
-        &mut self,
-        r2: W,
-        (slot, first, end): (usize, usize, usize),
-        reach2: f64,
-    ) {
+    pub fn append<W: Wide>(&mut self, r2: W, (first, end): (usize, usize), reach2: f64) {
         let inside = u8::MAX >> (WIDTH - (end - first).min(WIDTH));
-        let own = slot.wrapping_sub(first);
-        let own = if own < WIDTH { 1 << own } else { 0 };
-        let mask = r2.less_than(reach2) & inside & !own;
+        let mask = r2.less_than(reach2) & inside;
         if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
             W::compress(mask, first as u32, kept);
+        }
+        self.filled += mask.count_ones() as usize;
+    }
+
+    /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
+    /// made room for.
+    #[inline(always)]
+    pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
+        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
+            W::compress_twice(mask, first as u32, kept);
         }
         self.filled += mask.count_ones() as usize;
     }
@@ -217,7 +240,7 @@ pub fn separation<W: Wide, const D: usize>(
     lines: Lines<'_>,
     here: usize,
     slots: &[u32; WIDTH],
-    space: PeriodicBox,
+    space: Surroundings,
 ) -> Vector<W, D> {
     let lines = W::lines(lines);
     W::separation(&lines[here], pick(lines, slots), space)
@@ -232,7 +255,7 @@ impl<W: Wide, const D: usize> Batch<W, D> {
 
     /// The particle in slot `here` against the particles in `slots`.
     #[inline(always)]
-    pub fn read(lines: Lines<'_>, here: usize, slots: &[u32; WIDTH], space: PeriodicBox) -> Self {
+    pub fn read(lines: Lines<'_>, here: usize, slots: &[u32; WIDTH], space: Surroundings) -> Self {
         let lines = W::lines(lines);
         let read = W::read::<D>(&lines[here], pick(lines, slots), space);
         Self {

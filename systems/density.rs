@@ -29,6 +29,7 @@ impl<const D: usize> Pass for DensityPass<'_, D> {
         let own = smoothing.value(0.0);
         for (k, density) in self.density.iter_mut().enumerate() {
             let mut sum = W::Double::of(0.0);
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let r = separation::<W, D>(lines, chunk.first + k, slots, space);
                 sum += smoothing.value(r.norm_squared().sqrt()).widen();
@@ -114,6 +115,7 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
             let slot = chunk.first + k;
             let own = Change::<W::Double, D>::load(&self.sensitivity[slot]).position;
             let mut sum = W::Double::of(0.0);
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let r = separation::<W, D>(lines, slot, slots, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
@@ -234,6 +236,7 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
             let slot = chunk.first + k;
             let own = self.adjoint[slot].density;
             let mut sum = Vector::<W::Double, D>::zero();
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let r = separation::<W, D>(lines, slot, slots, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;

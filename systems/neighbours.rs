@@ -8,9 +8,9 @@
 use super::particles::{Acceleration, Cloud, Position, Velocity};
 use super::verlet::Integrator;
 use crate::cells::{Around, Cells};
-use crate::packed::Packed;
+use crate::packed::{Packed, PackedSingle};
 pub use crate::pairs::{CHUNK, Chunk};
-use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
+use crate::scalar::{Pass, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -20,11 +20,13 @@ use std::sync::Arc;
 /// What the lists of one chunk are built from.
 struct ListPass<'a, const D: usize> {
     chunk: &'a mut Chunk,
-    /// Coordinates in cell order, axis by axis, with [`WIDTH`] of nobody's behind them.
-    columns: &'a [Vec<f64>; D],
+    /// Fixed-point coordinates in cell order, axis by axis, with two [`WIDTH`] more behind them.
+    columns: &'a [Vec<i32>; D],
+    packed: &'a [Packed],
     cells: &'a Cells<D>,
     space: PeriodicBox,
-    reach2: f64,
+    /// How far the lists reach, and how much of it is skin.
+    reach: (f64, f64),
 }
 
 impl<const D: usize> Pass for ListPass<'_, D> {
@@ -32,53 +34,75 @@ impl<const D: usize> Pass for ListPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { chunk, columns, cells, space, reach2 } = self;
-        let count = columns[0].len() - WIDTH;
-        chunk.clear();
+        let Self { packed, cells, columns, .. } = self;
+        let count = packed.len() - 1;
+        let limits = self.limits();
+        self.chunk.clear();
         let (mut around, mut cell) = (Around::NONE, None);
-        for slot in chunk.first..(chunk.first + CHUNK).min(count) {
-            let mut here = Vector::<f64, D>::zero();
-            for axis in 0..D {
-                here[axis] = columns[axis][slot];
-            }
+        for slot in self.chunk.first..(self.chunk.first + CHUNK).min(count) {
             // Particles of one cell follow each other.
-            let coordinates = cells.coordinates(here);
+            let coordinates = cells.coordinates(Vector::from_3d(packed[slot].position));
             if cell != Some(coordinates) {
                 (around, cell) = (cells.around(coordinates), Some(coordinates));
             }
-            chunk.open(around.candidates());
+            let mut here = [0; D];
+            for (here, column) in here.iter_mut().zip(columns) {
+                *here = column[slot];
+            }
+            self.chunk.open(around.candidates());
             for range in around.ranges() {
                 let end = range.to as usize;
-                for first in (range.from as usize..end).step_by(WIDTH) {
-                    let apart = apart::<W::Double, D>(columns, here, first);
-                    let r2 = if range.seam {
-                        space.minimum_image(apart).norm_squared()
-                    } else {
-                        apart.norm_squared()
-                    };
-                    chunk.append(r2, (slot, first, end), reach2);
+                for first in (range.from as usize..end).step_by(2 * WIDTH) {
+                    let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
+                    let [mut near, maybe] = W::near(columns, here, first, limits);
+                    if near != maybe {
+                        near |= self.look_closer(slot, first, maybe & inside & !near);
+                    }
+                    let own = slot.wrapping_sub(first);
+                    let own = if own < 2 * WIDTH { 1 << own } else { 0 };
+                    self.chunk.append_mask::<W>(near & inside & !own, first);
                 }
             }
-            chunk.close(count);
+            self.chunk.close(count, self.is_near_seam(slot));
         }
-        chunk.finish();
+        self.chunk.finish();
     }
 }
 
-/// Differences of a place and the eight from slot `first` on, without images.
-#[inline(always)]
-pub(crate) fn apart<W: Wide, const D: usize>(
-    columns: &[Vec<f64>; D],
-    here: Vector<f64, D>,
-    first: usize,
-) -> Vector<W, D> {
-    let mut apart = Vector::zero();
-    for axis in 0..D {
-        let mut there = [0.0; WIDTH];
-        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
-        apart[axis] = W::of(here[axis]) - W::load(&Lanes::new(there));
+impl<const D: usize> ListPass<'_, D> {
+    /// Squares of distances, in fixed-point steps, below which somebody is surely in reach, and from
+    /// which on surely not: singles know a square to 4e-7, fixed point a distance to `1e-9 L`.
+    fn limits(&self) -> [f32; 2] {
+        let (reach, length) = (self.reach.0, self.space.length);
+        let steps = reach * (PackedSingle::STEPS / length);
+        let doubt = 1e-6 + 1e-8 * length / reach;
+        [(steps * steps * (1.0 - doubt)) as f32, (steps * steps * (1.0 + doubt)) as f32]
     }
-    apart
+
+    /// Which of the slots in a mask, from `first` on, are in reach, in doubles.
+    #[cold]
+    fn look_closer(&self, slot: usize, first: usize, mask: u16) -> u16 {
+        let place = |slot: usize| Vector::<f64, D>::from_3d(self.packed[slot].position);
+        let near = |bit: &usize| {
+            let apart = self.space.minimum_image(place(slot) - place(first + bit));
+            mask >> bit & 1 == 1 && apart.norm_squared() < self.reach.0 * self.reach.0
+        };
+        (0..2 * WIDTH).filter(near).fold(0, |found, bit| found | 1 << bit)
+    }
+
+    /// Whether, before the lists are built anew, the particle or a neighbour of it may cross the seam of
+    /// the box.
+    #[inline(always)]
+    fn is_near_seam(&self, slot: usize) -> bool {
+        let (reach, skin) = self.reach;
+        let margin = reach + skin;
+        let mut near = false;
+        for axis in 0..D {
+            let x = self.packed[slot].position[axis];
+            near |= x < margin || x > self.space.length - margin;
+        }
+        near
+    }
 }
 
 /// The neighbour list of a World.
@@ -99,8 +123,8 @@ pub struct Neighbours<const D: usize> {
     /// Positions by row at the last rebuild.
     reference: Vec<Vector<f64, D>>,
     positions: Vec<Vector<f64, D>>,
-    /// Coordinates in cell order at the last rebuild.
-    columns: [Vec<f64>; D],
+    /// Fixed-point coordinates in cell order at the last rebuild.
+    columns: [Vec<i32>; D],
 }
 
 impl<const D: usize> Neighbours<D> {
@@ -138,9 +162,8 @@ impl<const D: usize> Neighbours<D> {
 
     /// Bytes held by the lists.
     pub fn bytes(&self) -> usize {
-        let per_row = 8
-            * D
-            * (self.reference.capacity() + self.positions.capacity() + self.columns[0].capacity());
+        let vectors = self.reference.capacity() + self.positions.capacity();
+        let per_row = 8 * D * vectors + 4 * D * self.columns[0].capacity();
         self.chunks.iter().map(Chunk::bytes).sum::<usize>() + per_row + self.cells.bytes()
     }
 
@@ -193,20 +216,22 @@ impl<const D: usize> Neighbours<D> {
 
     fn build(&mut self, cloud: &Cloud<D>) {
         self.rebuilds += 1;
-        let reach = self.support + self.skin;
+        let reach = (self.support + self.skin, self.skin);
         for (axis, column) in self.columns.iter_mut().enumerate() {
             column.clear();
-            column.extend(cloud.particles().iter().map(|p| p.position[axis]));
-            column.extend([Packed::NOBODY.position[axis]; WIDTH]);
+            column.reserve_exact(cloud.len() + 2 * WIDTH);
+            let place = |p: &Packed| PackedSingle::fixed_point(p.position[axis], self.space);
+            column.extend(cloud.particles().iter().map(place));
+            column.extend([0; 2 * WIDTH]);
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::try_unwrap(std::mem::take(&mut self.chunks)).unwrap_or_default();
         chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
         let (columns, cells, space) = (&self.columns, &self.cells, self.space);
+        let packed = &cloud.packed[..];
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             chunk.first = number * CHUNK;
-            let reach2 = reach * reach;
-            dispatch(ListPass { chunk, columns, cells, space, reach2 });
+            dispatch(ListPass { chunk, columns, packed, cells, space, reach });
         });
         self.chunks = Arc::new(chunks);
     }

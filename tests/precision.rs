@@ -14,7 +14,7 @@ use whirls::learn::Learner;
 use whirls::models::Medium;
 use whirls::network::{exp, tanh};
 use whirls::packed::{Packed, PackedAdjoint, PackedSingle};
-use whirls::pairs::{Batch, Chunk, Lines, adjoints, separation};
+use whirls::pairs::{Batch, Chunk, Lines, Surroundings, adjoints, separation};
 use whirls::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
 use whirls::scene::Scene;
 use whirls::sensitivity::Gradient;
@@ -39,6 +39,7 @@ struct Everything<'a, const D: usize> {
     adjoint: &'a [PackedAdjoint],
     medium: &'a Medium<D>,
     slots: &'a [[u32; WIDTH]],
+    columns: &'a [Vec<i32>; D],
     length: f64,
 }
 
@@ -48,6 +49,7 @@ impl<const D: usize> Pass for Everything<'_, D> {
     #[inline(always)]
     fn run<W: Wide>(self) -> Vec<u64> {
         let space = whirls::space::PeriodicBox { length: self.length };
+        let space = Surroundings { space, seam: true };
         let mut bits = Vec::new();
         let mut put = |x: Lanes| bits.extend(x.to_array().map(f64::to_bits));
         let mut chunk = Chunk::default();
@@ -71,9 +73,11 @@ impl<const D: usize> Pass for Everything<'_, D> {
             put(tanh(x).store());
             put(exp(-x.abs()).store());
             put(W::narrow(x).copysign(-batch.stress_j).store());
-            chunk.open(WIDTH);
-            chunk.append(r.norm_squared(), (here, 8, 13 + here % 4), 1.0);
-            chunk.close(0);
+            chunk.open(3 * WIDTH);
+            chunk.append(r.norm_squared(), (8, 13 + here % 4), 1.0);
+            let [near, maybe] = W::near(self.columns, [7_000_000; D], here, [1e18, 2e18]);
+            chunk.append_mask::<W>(near ^ maybe.rotate_left(3), here);
+            chunk.close(0, false);
             put(Lanes::new([r.norm_squared().widen().sum(); WIDTH]));
         }
         chunk.finish();
@@ -110,10 +114,12 @@ fn every_instruction_set_gives_the_bits_of_the_plain_one<const D: usize>() {
     let slots: Vec<[u32; WIDTH]> = (0..16)
         .map(|here| std::array::from_fn(|l| if l == 6 { 64 } else { (here * l + l) as u32 % 64 }))
         .collect();
+    let columns: [Vec<i32>; D] =
+        std::array::from_fn(|axis| single.iter().map(|p| p.position[axis]).collect());
     for precision in Precision::ALL {
         let lines = Lines { double: &double, single: &single, precision };
         let (adjoint, medium, slots) = (&adjoint[..], &medium, &slots[..]);
-        let pass = Everything { lines, adjoint, medium, slots, length };
+        let pass = Everything { lines, adjoint, medium, slots, columns: &columns, length };
         let found = on_every_instruction_set(precision, &pass);
         let names: Vec<_> = found.iter().map(|(name, _)| *name).collect();
         println!("{D}D, {}: {}", precision.name(), names.join(", "));

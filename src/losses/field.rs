@@ -8,7 +8,6 @@ use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::{Chunk, pick};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
-use crate::systems::neighbours::apart;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
@@ -76,11 +75,10 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
             let end = range.to as usize;
             for first in (range.from as usize..end).step_by(WIDTH) {
                 let apart = space.minimum_image(apart::<W, D>(&self.columns, x, first));
-                // No particle is left out.
-                near.append(apart.norm_squared(), (usize::MAX, first, end), reach2);
+                near.append(apart.norm_squared(), (first, end), reach2);
             }
         }
-        near.close(self.points.packed.len());
+        near.close(self.points.packed.len(), true);
         near.neighbours(0)
     }
 
@@ -138,6 +136,22 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         }
         sum_lanes(&sum)
     }
+}
+
+/// Differences of a place and the eight from slot `first` on, without images.
+#[inline(always)]
+fn apart<W: Wide, const D: usize>(
+    columns: &[Vec<f64>; D],
+    here: Vector<f64, D>,
+    first: usize,
+) -> Vector<W, D> {
+    let mut apart = Vector::zero();
+    for axis in 0..D {
+        let mut there = [0.0; WIDTH];
+        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
+        apart[axis] = W::of(here[axis]) - W::load(&Lanes::new(there));
+    }
+    apart
 }
 
 /// The sum over the lanes of every component.

@@ -69,6 +69,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
         for (k, acceleration) in out.iter_mut().enumerate() {
             let here = chunk.first + k;
             let mut sum = Vector::<W::Double, D>::zero();
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let force = law.force(&Batch::<W, D>::read(lines, here, slots, space), room);
                 sum += widen(force);
@@ -111,6 +112,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for TangentPass<'_, L, D> {
             let slot = chunk.first + k;
             let own = Change::load(&columns.sensitivities[slot]);
             let mut sum = load_vector::<W::Double, D>(acceleration);
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let batch = Batch::<W, D>::read(lines, slot, slots, space);
                 let slope = law.slope(&batch, room).store();
@@ -170,6 +172,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for WeightPass<'_, L, D> {
             let mut component = Vector::<W, D>::zero();
             component[axis] = W::of(1.0);
             room.clear();
+            let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
                 let batch = Batch::<W, D>::read(lines, chunk.first + k, slots, space);
                 law.pullback(&batch, component, room);
@@ -205,6 +208,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
         for k in 0..chunk.len() {
             let slot = chunk.first + k;
             let mut sum = PairCotangent::<W::Double, D>::zero();
+            let space = chunk.around(k, space);
             for (number, slots) in chunk.neighbours(k).iter().enumerate() {
                 let batch = Batch::<W, D>::read(lines, slot, slots, space);
                 let there = adjoints::<W>(forces, slots);

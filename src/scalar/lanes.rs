@@ -1,10 +1,11 @@
 //! Eight numbers that move together: the SIMD direction of every hot loop.
 
-use super::wide::{compress_by_table, reading_of, separation_of};
+use super::wide::{
+    compress_by_table, compress_twice_by_table, near_by_loop, reading_of, separation_of,
+};
 use super::{Scalar, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{Lines, Reading};
-use crate::space::PeriodicBox;
+use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -214,7 +215,7 @@ impl Wide for Lanes {
     fn separation<const D: usize>(
         here: &Packed,
         others: [&Packed; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Vector<Self, D> {
         let place = |axis: usize| each(others, |p| p.position[axis]);
         separation_of(here, [place(0), place(1), place(2)], space)
@@ -223,7 +224,7 @@ impl Wide for Lanes {
     fn read<const D: usize>(
         here: &Packed,
         others: [&Packed; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Reading<Self, D> {
         reading_of(here, Self::fields(others), space)
     }
@@ -253,6 +254,19 @@ impl Wide for Lanes {
     #[inline(always)]
     fn power_of_two(shifted: Self) -> Self {
         in_every_lane!(|L| f64::from_bits((shifted.0[L].to_bits() << 52).wrapping_add(1023 << 52)))
+    }
+    #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        near_by_loop(columns, here, first, limits)
+    }
+    #[inline(always)]
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_twice_by_table(mask, first, kept);
     }
     #[inline(always)]
     fn less_than(self, limit: f64) -> u8 {

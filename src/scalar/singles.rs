@@ -1,10 +1,9 @@
 //! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
 
-use super::wide::{FAR, compress_by_table, unit};
+use super::wide::{FAR, compress_by_table, compress_twice_by_table, near_by_loop, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
-use crate::pairs::{Lines, Reading};
-use crate::space::PeriodicBox;
+use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -135,7 +134,7 @@ impl Wide for Singles {
     fn separation<const D: usize>(
         here: &PackedSingle,
         others: [&PackedSingle; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Vector<Self, D> {
         let unit = Self::of(unit(space));
         let mut separation = Vector::zero();
@@ -151,7 +150,7 @@ impl Wide for Singles {
     fn read<const D: usize>(
         here: &PackedSingle,
         others: [&PackedSingle; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Reading<Self, D> {
         let mut velocity = Vector::zero();
         for axis in 0..D {
@@ -186,6 +185,19 @@ impl Wide for Singles {
     #[inline(always)]
     fn power_of_two(shifted: Self) -> Self {
         Self::narrow(Lanes::power_of_two(shifted.widen()))
+    }
+    #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        near_by_loop(columns, here, first, limits)
+    }
+    #[inline(always)]
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_twice_by_table(mask, first, kept);
     }
     #[inline(always)]
     fn less_than(self, limit: f64) -> u8 {

@@ -2,8 +2,7 @@
 
 use super::{Lanes, Scalar, WIDTH};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
-use crate::pairs::{Lines, Reading};
-use crate::space::PeriodicBox;
+use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use pulp::Arch;
 use serde::{Deserialize, Serialize};
@@ -60,13 +59,13 @@ pub trait Wide: Scalar {
     fn separation<const D: usize>(
         here: &Self::Line,
         others: [&Self::Line; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Vector<Self, D>;
     /// Everything that the pairs of one particle with eight others depend on.
     fn read<const D: usize>(
         here: &Self::Line,
         others: [&Self::Line; WIDTH],
-        space: PeriodicBox,
+        space: Surroundings,
     ) -> Reading<Self, D>;
     /// The eight numbers of eight lines in doubles, as eight columns.
     fn fields(lines: [&Packed; WIDTH]) -> [Self::Double; 8];
@@ -79,6 +78,16 @@ pub trait Wide: Scalar {
     fn copysign(self, sign: Self) -> Self;
     /// `2ᵏ` of a whole number `k`, given as `k + 1.5·2⁵²`; of doubles only.
     fn power_of_two(shifted: Self) -> Self;
+    /// Which of the sixteen places from number `first` on are nearer to `here` than two limits on the
+    /// square of the distance, in fixed-point steps: one bit each, the first lowest.
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2];
+    /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`.
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
     /// In which lanes it is less than `limit`, one bit each, the first lane lowest.
     fn less_than(self, limit: f64) -> u8;
     /// Writes `first + l` for every lane `l` of a mask, in order, to the front of `kept`.
@@ -191,7 +200,7 @@ impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
 pub(super) fn reading_of<W: Wide, const D: usize>(
     here: &Packed,
     [x, y, z, u, v, w, density, stress]: [W; 8],
-    space: PeriodicBox,
+    space: Surroundings,
 ) -> Reading<W, D> {
     let mut velocity = Vector::zero();
     for (axis, there) in [u, v, w].into_iter().enumerate().take(D) {
@@ -206,13 +215,13 @@ pub(super) fn reading_of<W: Wide, const D: usize>(
 pub(super) fn separation_of<W: Wide, const D: usize>(
     here: &Packed,
     there: [W; 3],
-    space: PeriodicBox,
+    space: Surroundings,
 ) -> Vector<W, D> {
     let mut separation = Vector::zero();
     for (axis, there) in there.into_iter().enumerate().take(D) {
         separation[axis] = W::of(here.position[axis]) - there;
     }
-    space.minimum_image(separation)
+    if space.seam { space.space.minimum_image(separation) } else { separation }
 }
 
 /// How far away nobody is, in single precision: no kernel reaches there, and no square overflows.
@@ -220,8 +229,8 @@ pub(super) const FAR: f64 = 1e10;
 
 /// What a distance in fixed point is worth.
 #[inline(always)]
-pub(super) fn unit(space: PeriodicBox) -> f64 {
-    space.length / PackedSingle::STEPS
+pub(super) fn unit(space: Surroundings) -> f64 {
+    space.space.length / PackedSingle::STEPS
 }
 
 /// For every mask the lanes that are in it, in order.
@@ -248,4 +257,38 @@ pub(super) fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
         *kept = first + u32::from(lane);
     }
+}
+
+/// [`Wide::near`] place by place.
+#[inline(always)]
+pub(super) fn near_by_loop<const D: usize>(
+    columns: &[Vec<i32>; D],
+    here: [i32; D],
+    first: usize,
+    limits: [f32; 2],
+) -> [u16; 2] {
+    let mut masks = [0; 2];
+    for place in 0..2 * WIDTH {
+        let mut square = 0.0;
+        for (column, here) in columns.iter().zip(here) {
+            let apart = here.wrapping_sub(column[first + place]) as f32;
+            square += apart * apart;
+        }
+        for (mask, limit) in masks.iter_mut().zip(limits) {
+            *mask |= u16::from(square < limit) << place;
+        }
+    }
+    masks
+}
+
+/// [`Wide::compress_twice`] by table.
+#[inline(always)]
+pub(super) fn compress_twice_by_table(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+    let [low, high] = mask.to_le_bytes();
+    let mut half = [0; WIDTH];
+    compress_by_table(low, first, &mut half);
+    kept[..WIDTH].copy_from_slice(&half);
+    compress_by_table(high, first + WIDTH as u32, &mut half);
+    let place = low.count_ones() as usize;
+    kept[place..place + WIDTH].copy_from_slice(&half);
 }

@@ -9,11 +9,12 @@
 // instructions are used wherever a type does not promise its alignment.
 
 use super::singles::SMALLEST_SINGLE;
-use super::wide::{FAR, compress_by_table, reading_of, separation_of, unit};
+use super::wide::{
+    FAR, compress_by_table, compress_twice_by_table, near_by_loop, reading_of, separation_of, unit,
+};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
-use crate::pairs::{Lines, Reading};
-use crate::space::PeriodicBox;
+use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::arch::x86_64::*;
 use std::marker::PhantomData;
@@ -340,7 +341,7 @@ macro_rules! wide_doubles {
         fn separation<const D: usize>(
             here: &Packed,
             others: [&Packed; WIDTH],
-            space: PeriodicBox,
+            space: Surroundings,
         ) -> Vector<Self, D> {
             let [x, y, z, _] = Self::transpose_halves(others.map_each(half_of_packed));
             separation_of(here, [x, y, z], space)
@@ -349,7 +350,7 @@ macro_rules! wide_doubles {
         fn read<const D: usize>(
             here: &Packed,
             others: [&Packed; WIDTH],
-            space: PeriodicBox,
+            space: Surroundings,
         ) -> Reading<Self, D> {
             reading_of(here, Self::fields(others), space)
         }
@@ -480,6 +481,37 @@ impl Wide for Lanes512 {
         }])
     }
     #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        unsafe {
+            let mut square = _mm512_setzero_ps();
+            for (column, here) in columns.iter().zip(here) {
+                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
+                let apart = _mm512_sub_epi32(_mm512_set1_epi32(here), there);
+                let apart = _mm512_cvtepi32_ps(apart);
+                square = _mm512_add_ps(square, _mm512_mul_ps(apart, apart));
+            }
+            let mut masks = [0; 2];
+            for (mask, limit) in masks.iter_mut().zip(limits) {
+                *mask = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(square, _mm512_set1_ps(limit));
+            }
+            masks
+        }
+    }
+    #[inline(always)]
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        unsafe {
+            let count = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            let numbers = _mm512_add_epi32(_mm512_set1_epi32(first as i32), count);
+            let front = _mm512_maskz_compress_epi32(mask, numbers);
+            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+        }
+    }
+    #[inline(always)]
     fn less_than(self, limit: f64) -> u8 {
         unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0[0], _mm512_set1_pd(limit)) }
     }
@@ -566,6 +598,36 @@ impl Wide for Lanes256 {
         }
     }
     #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        let mut masks = [0; 2];
+        for half in 0..2 {
+            unsafe {
+                let mut square = _mm256_setzero_ps();
+                for (column, here) in columns.iter().zip(here) {
+                    let from = first + half * WIDTH;
+                    let there = _mm256_loadu_si256(column[from..from + WIDTH].as_ptr().cast());
+                    let apart = _mm256_sub_epi32(_mm256_set1_epi32(here), there);
+                    let apart = _mm256_cvtepi32_ps(apart);
+                    square = _mm256_add_ps(square, _mm256_mul_ps(apart, apart));
+                }
+                for (mask, limit) in masks.iter_mut().zip(limits) {
+                    let less = _mm256_cmp_ps::<_CMP_LT_OQ>(square, _mm256_set1_ps(limit));
+                    *mask |= (_mm256_movemask_ps(less) as u16) << (half * WIDTH);
+                }
+            }
+        }
+        masks
+    }
+    #[inline(always)]
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_twice_by_table(mask, first, kept);
+    }
+    #[inline(always)]
     fn less_than(self, limit: f64) -> u8 {
         unsafe {
             let limit = _mm256_set1_pd(limit);
@@ -642,6 +704,19 @@ impl Wide for Lanes128 {
             };
         }
         power
+    }
+    #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        near_by_loop(columns, here, first, limits)
+    }
+    #[inline(always)]
+    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_twice_by_table(mask, first, kept);
     }
     #[inline(always)]
     fn less_than(self, limit: f64) -> u8 {
@@ -840,7 +915,7 @@ macro_rules! wide_singles {
         fn separation<const D: usize>(
             here: &PackedSingle,
             others: [&PackedSingle; WIDTH],
-            space: PeriodicBox,
+            space: Surroundings,
         ) -> Vector<Self, D> {
             let [x, y, z, density] = Self::columns(others, 0);
             let unit = Self::of(unit(space));
@@ -856,7 +931,7 @@ macro_rules! wide_singles {
         fn read<const D: usize>(
             here: &PackedSingle,
             others: [&PackedSingle; WIDTH],
-            space: PeriodicBox,
+            space: Surroundings,
         ) -> Reading<Self, D> {
             let [.., density] = Self::columns(others, 0);
             let [u, v, w, stress] = Self::columns(others, 4);
@@ -892,6 +967,19 @@ macro_rules! wide_singles {
         #[inline(always)]
         fn power_of_two(shifted: Self) -> Self {
             Self::narrow(<$doubles>::power_of_two(shifted.widen()))
+        }
+        #[inline(always)]
+        fn near<const D: usize>(
+            columns: &[Vec<i32>; D],
+            here: [i32; D],
+            first: usize,
+            limits: [f32; 2],
+        ) -> [u16; 2] {
+            <$doubles>::near(columns, here, first, limits)
+        }
+        #[inline(always)]
+        fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+            <$doubles>::compress_twice(mask, first, kept);
         }
         #[inline(always)]
         fn less_than(self, limit: f64) -> u8 {

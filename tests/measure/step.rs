@@ -62,7 +62,7 @@ fn main() {
         arguments.threads, arguments.rounds
     );
     println!(
-        "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>8}",
+        "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>6} {:>8}",
         "N",
         "neighbours",
         "precision",
@@ -87,7 +87,7 @@ fn main() {
     println!(
         "\nevaluate: density and forces of all particles, lists given, per particle; /pair: per directed \
          pair within 2h\nfloor: the same formulas on operands in registers, per pair; plain: evaluate of a \
-         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs"
+         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs; builds: of lists, a step"
     );
 }
 
@@ -173,7 +173,7 @@ impl Contestant {
         let whole = per(&took[5], all);
         let search = per(&took[4], n) + each * (per(&took[3], n) - per(&took[4], n));
         println!(
-            "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:8.0}",
+            "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:6.2} {:8.0}",
             self.particles,
             self.neighbours,
             self.scene.precision.name(),
@@ -186,6 +186,7 @@ impl Contestant {
             whole / self.neighbours,
             whole / self.neighbours / floor,
             100.0 * search / whole,
+            each,
             bytes,
         );
     }
