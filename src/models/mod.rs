@@ -169,6 +169,14 @@ macro_rules! hierarchy {
                 }
             }
 
+            /// Units in each hidden layer of its network, where it has one.
+            pub fn height_mut(&mut self) -> Option<&mut usize> {
+                match self {
+                    Self::Physics => None,
+                    $(Self::$name(options) => Some(&mut options.height),)*
+                }
+            }
+
             /// The model of a medium.
             ///
             /// # Errors

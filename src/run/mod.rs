@@ -1,10 +1,12 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
 mod evaluated;
+mod priced;
 mod reproduction;
 mod training;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use training::{
     Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, what,
