@@ -144,11 +144,12 @@ fn trade_records_the_reference_beside_the_cheapest_flows_in_equal_bytes() {
     let topic = |name: &str| format!("/{name}/particles");
     let times = |name: &str| recording.cloud_times(&topic(name));
     assert_eq!(times("truth"), times("as-it-is"));
+    assert_eq!(times("truth"), times("paper-dt"));
     let every_other: Vec<f64> = times("truth").into_iter().step_by(2).collect();
     assert_eq!(times("one-force-2-dt"), every_other);
     let errors = recording.values("/errors/trajectory").unwrap();
     let last = errors.last().unwrap();
-    assert_eq!((errors.len(), last.names.len()), (9, 5));
+    assert_eq!((errors.len(), last.names.len()), (9, 8));
     assert!(last.values.iter().all(|error| *error > 0.0), "{last:?}");
 }
 

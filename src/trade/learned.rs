@@ -208,12 +208,10 @@ fn same_stretch<const D: usize>(
     let count = |frames: usize| ((frames as f64 / longer).round() as usize).max(1);
     if let Some(learn) = &mut scene.learn {
         learn.frames = count(learn.frames);
-        for windows in [Some(&mut learn.windows), learn.warm_up.as_mut().map(|up| &mut up.windows)]
-        {
-            if let Some(windows) = windows {
-                windows.iter_mut().for_each(|window| *window = count(*window));
-                windows.dedup();
-            }
+        let before = learn.warm_up.as_mut().map(|before| &mut before.windows);
+        for windows in std::iter::once(&mut learn.windows).chain(before) {
+            windows.iter_mut().for_each(|window| *window = count(*window));
+            windows.dedup();
         }
     }
     let frames = scene.learning()?.frames;
