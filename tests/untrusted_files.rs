@@ -189,7 +189,7 @@ fn small(mut scene: Scene) -> Scene {
 #[ignore = "writes the seeds of the fuzz targets"]
 fn seeds_of_the_fuzz_targets() {
     for (kind, files) in [("scene", scenes()), ("npy", arrays()), ("recording", recordings())] {
-        let folder = Path::new("tests/fuzz/seeds").join(kind);
+        let folder = Path::new("tests/fuzz/corpus").join(kind);
         std::fs::create_dir_all(&folder).unwrap();
         for (k, bytes) in files.iter().enumerate() {
             std::fs::write(folder.join(k.to_string()), bytes).unwrap();

@@ -64,6 +64,12 @@ fn headings<const N: usize>(names: [&str; N]) -> Vec<String> {
     names.map(str::to_owned).to_vec()
 }
 
+/// What must be known to read the prices of the flow.
+const FLOW_CAPTION: &str = "Cost of the same stretch of flow over that of the scene as it is; nanoseconds per \
+                            particle and step; bytes per particle. Errors at the end: root-mean-square \
+                            distance of particles over h, of the smoothed velocity field over its size, of \
+                            the total energy over itself, drift of momentum over Σ|v|.";
+
 fn flow_table(flows: &[FlowPrice]) -> Table {
     let marks = best(flows.iter().map(|price| {
         let contests = price.setting.effect == Effect::Accuracy;
@@ -98,14 +104,19 @@ fn flow_table(flows: &[FlowPrice]) -> Table {
     Table {
         name: "flow".to_owned(),
         title: "The flow".to_owned(),
-        caption: "Cost of the same stretch of flow over that of the scene as it is; nanoseconds per \
-                  particle and step; bytes per particle. Errors at the end: root-mean-square distance of \
-                  particles over h, of the smoothed velocity field over its size, of the total energy \
-                  over itself, drift of momentum over Σ|v|."
-            .to_owned(),
+        caption: FLOW_CAPTION.to_owned(),
         columns: headings([
-            "setting", "best", "cost", "ns/step", "bytes", "neighbours", "trajectory", "field",
-            "energy", "momentum", "changes",
+            "setting",
+            "best",
+            "cost",
+            "ns/step",
+            "bytes",
+            "neighbours",
+            "trajectory",
+            "field",
+            "energy",
+            "momentum",
+            "changes",
         ]),
         rows: flows.iter().zip(marks).map(row).collect(),
     }
@@ -141,24 +152,24 @@ fn gradient_table(gradients: &[GradientPrice]) -> Table {
     }
 }
 
-/// The error by which searches are told apart: of the worst parameter, or where its truth is not known the
-/// loss.
+fn learned_row((price, best): (&LearnedPrice, bool)) -> Row {
+    let LearnedPrice { cost, seconds, iterations, loss, error, .. } = *price;
+    let cells = [
+        dot(best),
+        Cell::Number(cost),
+        Cell::Number(seconds),
+        Cell::Count(iterations as u64),
+        Cell::Number(loss),
+        if error.is_nan() { Cell::Nothing } else { Cell::Number(error) },
+    ];
+    Row { name: price.setting.name(), role: Role::Model, cells: cells.to_vec() }
+}
+
+/// Searches are told apart by the worst parameter, or where its truth is not known by the loss.
 fn learned_table(learned: &[LearnedPrice], plan: Plan) -> Table {
     let marks = best(learned.iter().map(|price| {
         Some((price.cost, if price.error.is_nan() { price.loss } else { price.error }))
     }));
-    let row = |(price, best): (&LearnedPrice, bool)| {
-        let LearnedPrice { cost, seconds, iterations, loss, error, .. } = *price;
-        let cells = [
-            dot(best),
-            Cell::Number(cost),
-            Cell::Number(seconds),
-            Cell::Count(iterations as u64),
-            Cell::Number(loss),
-            if error.is_nan() { Cell::Nothing } else { Cell::Number(error) },
-        ];
-        Row { name: price.setting.name(), role: Role::Model, cells: cells.to_vec() }
-    };
     let mut table = Table {
         name: "learned".to_owned(),
         title: "What is learned".to_owned(),
@@ -180,7 +191,7 @@ fn learned_table(learned: &[LearnedPrice], plan: Plan) -> Table {
             "loss",
             "worst parameter",
         ]),
-        rows: learned.iter().zip(marks).map(row).collect(),
+        rows: learned.iter().zip(marks).map(learned_row).collect(),
     };
     table.drop_empty_columns();
     table
