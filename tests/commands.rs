@@ -228,7 +228,8 @@ fn trade_prices_flows_and_gradients() {
     let options = ["small.toml", "--steps", "4", "--rounds", "1", "--out", "prices", "--json"];
     let prices = place.json("trade", &options);
     let table = |k: usize| &prices["tables"][k];
-    assert_eq!((&table(0)["name"], &table(1)["name"]), (&"flow".into(), &"gradient".into()));
+    let names = [0, 1, 2].map(|k| table(k)["name"].as_str().unwrap());
+    assert_eq!(names, ["flow", "gradient", "learned"]);
     let cell = |k: usize, name: &str, column: &str| {
         let rows = table(k)["rows"].as_array().unwrap();
         let row = rows.iter().find(|row| row["name"] == name).unwrap();
@@ -246,9 +247,49 @@ fn trade_prices_flows_and_gradients() {
         assert!(cell(1, way, "difference") < 1e-10, "{way}");
     }
     assert!(cell(1, "coupling: local", "difference") > 1e-6);
+    // Snapshots instead of force evaluations; sensitivities of four parameters.
+    let bytes = |setting: &str| cell(1, setting, "bytes");
+    assert!(bytes("storage: adjoint, checkpoints = 1") < bytes("way: adjoint"));
+    assert!(
+        bytes("way: forward") > 0.0 && cell(1, "storage: adjoint, bytes = 2097152", "bytes") > 0.0
+    );
+    // Learned from its own truth a scene finds it, and half the mesh does, too; steps of another truth do
+    // not, and the less so the longer they are.
+    let worst = |setting: &str| cell(2, setting, "worst parameter");
+    assert!(worst("as it is") < 1e-6 && worst("mesh: 4 a side") < 1e-6);
+    assert!(worst("step: kick-drift-kick, dt/4") < 0.5 * worst("step: kick-drift-kick, dt"));
     for file in ["prices.json", "prices.html", "price-of-a-step.svg"] {
         assert!(place.path("prices").join(file).exists(), "{file}");
     }
+    let rows = table(1)["rows"].as_array().unwrap();
+    assert!(rows.iter().any(|row| row["cells"][0] == "●"), "no gradient is the best of its price");
+}
+
+#[test]
+fn trade_records_the_reference_beside_the_cheapest_flows_in_equal_bytes() {
+    let place = Place::new();
+    let recordings = ["one", "two"].map(|out| {
+        let options =
+            ["small.toml", "--quick", "--set", "time.courant=0.2", "--out", out, "--json"];
+        let prices = place.json("trade", &options);
+        assert_eq!(prices["steps"], Value::from(8));
+        prices["recording"].as_str().unwrap().to_owned()
+    });
+    let bytes = recordings.each_ref().map(|name| std::fs::read(place.path(name)).unwrap());
+    assert!(bytes[0] == bytes[1]);
+    let info = place.json("replay", &["--info", "--json", &recordings[0]]);
+    assert_eq!((&info["truth_flow"]["frames"], &info["truncated"]), (&9.into(), &false.into()));
+    let recording = place.recording(&recordings[0]);
+    let topic = |name: &str| format!("/{name}/particles");
+    let times = |name: &str| recording.cloud_times(&topic(name));
+    assert_eq!(times("truth"), times("as-it-is"));
+    assert_eq!(times("truth"), times("paper-dt"));
+    let every_other: Vec<f64> = times("truth").into_iter().step_by(2).collect();
+    assert_eq!(times("one-force-2-dt"), every_other);
+    let errors = recording.values("/errors/trajectory").unwrap();
+    let last = errors.last().unwrap();
+    assert_eq!((errors.len(), last.names.len()), (9, 8));
+    assert!(last.values.iter().all(|error| *error > 0.0), "{last:?}");
 }
 
 #[test]
@@ -579,7 +620,20 @@ fn help_names_every_option() {
             ],
         ),
         ("reproduce", &["--quick", "--out", "--seed", "--threads", "--json"]),
-        ("trade", &["--steps", "--rounds", "--out", "--set", "--seed", "--threads", "--json"]),
+        (
+            "trade",
+            &[
+                "--steps",
+                "--rounds",
+                "--iterations",
+                "--quick",
+                "--out",
+                "--set",
+                "--seed",
+                "--threads",
+                "--json",
+            ],
+        ),
     ];
     for (command, own) in commands {
         let done = place.run(command, &["--help"]);

@@ -10,9 +10,12 @@ mod common;
 
 use common::{in_2d_and_3d, lattice, shaken, spacing, two_particles};
 use whirls::flow::State;
+use whirls::learn::Learner;
 use whirls::scene::{Forcing, KernelName};
+use whirls::sensitivity::Gradient;
 use whirls::statistics::momentum;
 use whirls::systems::verlet::Step;
+use whirls::truth::Truth;
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Scene};
 
@@ -29,6 +32,9 @@ in_2d_and_3d!(
     a_void_fills,
     a_hundredfold_density_pushes_apart,
     a_box_of_four_smoothing_lengths_runs,
+    any_ratio_of_smoothing_length_to_spacing_from_0_7_to_3_runs,
+    networks_with_huge_weights_run_or_are_refused_with_a_reason,
+    increments_on_disjoint_supports_give_a_large_finite_loss_with_a_finite_gradient,
 );
 
 fn small<const D: usize>() -> Scene {
@@ -344,4 +350,147 @@ fn a_hundred_thousand_steps_do_not_move_the_momentum() {
     println!("100 000 steps: the momentum has moved by {drift:.1e} of Σ|v|");
     // Random rounding of some ten sums a step walks like √(10⁶) ε; a bias would add up to 10⁶ ε.
     assert!(drift < 1e-12, "{drift}");
+}
+
+fn any_ratio_of_smoothing_length_to_spacing_from_0_7_to_3_runs<const D: usize>() {
+    for kernel in common::KERNELS {
+        for ratio in [0.7, 0.853, 1.2, 2.0, 3.0] {
+            // The support fits into half the box.
+            let mut scene = common::scene::<D>(12);
+            scene.fluid.smoothing_length = ratio * spacing(&scene);
+            (scene.fluid.kernel, scene.initial.velocity) = (kernel, 0.3);
+            let start = shaken::<D>(&scene);
+            let densities = common::densities(&scene, &start);
+            let densest = common::largest(densities.iter().copied());
+            // Where a kernel is narrow, a lattice is denser than the fluid; sound is as fast as c ρ³.
+            scene.time.courant = 0.2 * densest.max(1.0).powi(-3);
+            let end = run(&scene, &start, if D == 2 { 100 } else { 10 }).unwrap();
+            let mut flow = common::started(&scene, &end);
+            flow.step().unwrap();
+            println!(
+                "{D}D {}, h/Δx = {ratio}: {:.0} neighbours, densest {densest:.2}, momentum drift {:.1e}",
+                kernel.name(),
+                flow.neighbours_per_particle(),
+                drift(&start, &end)
+            );
+            assert!(drift(&start, &end) < 1e-13);
+        }
+    }
+}
+
+/// Every model with a network.
+const NETWORKS: [&str; 8] = [
+    "{kind='eos-nn',height=4}",
+    "{kind='grad-p',height=3}",
+    "{kind='grad-p',height=3,antisymmetric=true}",
+    "{kind='rot-inv',height=3}",
+    "{kind='rot-inv',height=3,antisymmetric=true}",
+    "{kind='nn-sum',height=3}",
+    "{kind='nn-sum',height=3,window=false}",
+    "{kind='node',height=3,nearest=9}",
+];
+
+fn networks_with_huge_weights_run_or_are_refused_with_a_reason<const D: usize>() {
+    let mut ran = 0;
+    for model in NETWORKS {
+        for (size, what) in [1e3, 1e8, 1e300, f64::MAX]
+            .into_iter()
+            .flat_map(|size| [(size, "all weights"), (size, "hidden weights")])
+        {
+            for gradient in [Gradient::Forward, Gradient::Adjoint] {
+                let text = match learn_with_weights::<D>(model, (size, what), gradient) {
+                    Ok(found) => {
+                        ran += 1;
+                        assert!(found.loss.is_finite(), "{model}, {size:e}");
+                        assert!(found.gradient.iter().all(|g| g.is_finite()), "{model}, {size:e}");
+                        format!("loss {:.1e}", found.loss)
+                    }
+                    Err(Error::Diverged { ref remedy, .. }) if remedy.is_empty() => {
+                        panic!("{model}, {size:e}: no remedy")
+                    }
+                    Err(error @ Error::Diverged { .. }) => error.to_string(),
+                    Err(other) => panic!("{model}, {size:e}: {other}"),
+                };
+                println!("{D}D {model}, {what} of {size:e}, {}: {text}", gradient.name());
+            }
+        }
+    }
+    assert!(ran > 0, "saturated units move particles gently enough");
+}
+
+/// Loss and gradient of a small flow whose network has weights of a size, of either sign: all of them, or
+/// only those of its hidden layers, so that what comes out stays moderate.
+fn learn_with_weights<const D: usize>(
+    model: &str,
+    (size, what): (f64, &str),
+    gradient: Gradient,
+) -> Result<whirls::learn::Evaluation, Error> {
+    let mut scene = learning::<D>(model);
+    scene.learn.as_mut().unwrap().gradient = gradient;
+    let truth = Truth::<D>::generate(&scene, (0, 2)).unwrap();
+    let mut learner = Learner::of_truth(&scene, &truth).unwrap();
+    let mut weights = learner.guess(1);
+    let last = match learner.flow_mut().model().network() {
+        Some(learned) => learned.shape.outputs() * (learned.shape.height() + 1),
+        None => panic!("{model} has no network"),
+    };
+    let kept = if what == "all weights" { 0 } else { last };
+    let count = weights.len() - kept;
+    for (k, weight) in weights[..count].iter_mut().enumerate() {
+        *weight = size * (1.3 * k as f64 + 0.2).sin().signum();
+    }
+    // Forward alone first: what it hands out is finite.
+    let mut flow = Flow::<D>::build(&scene, &truth.states[0], None, None).unwrap();
+    flow.set_learned(learner.columns(), &weights);
+    let alone = flow.start().and_then(|()| flow.step()).and_then(|()| flow.step());
+    if alone.is_ok() {
+        let State { positions, velocities, .. } = flow.state();
+        assert!(positions.iter().chain(&velocities).all(|x| x.is_finite()), "{model}, {size:e}");
+    }
+    learner.evaluate(&weights, 2)
+}
+
+/// A small scene that learns a model from two steps by field and increments.
+fn learning<const D: usize>(model: &str) -> Scene {
+    let overrides = [
+        format!("fluid.particles_per_side={}", if D == 2 { 12 } else { 6 }),
+        format!("fluid.smoothing_length={}", if D == 2 { 0.533 } else { 0.9 }),
+        format!("learn.model={model}"),
+        "learn.parameters=[]".to_owned(),
+        "learn.loss={field=1.0,trajectory=1.0,kl=1.0}".to_owned(),
+        "learn.frames=2".to_owned(),
+        "learn.windows=[]".to_owned(),
+        "learn.optimiser={kind='adam',rate=0.05}".to_owned(),
+    ];
+    Scene::open(if D == 2 { "inverse-2d" } else { "inverse-3d" }, &overrides).unwrap()
+}
+
+/// A prediction whose increments have no value in common with the truth's.
+fn increments_on_disjoint_supports_give_a_large_finite_loss_with_a_finite_gradient<
+    const D: usize,
+>() {
+    for away in [10.0, 1e3, 1e6] {
+        let mut gradients = Vec::new();
+        for gradient in [Gradient::Forward, Gradient::Adjoint] {
+            let mut scene = learning::<D>("{kind='grad-p',height=3}");
+            let learn = scene.learn.as_mut().unwrap();
+            learn.loss = whirls::scene::Weights { trajectory: 0.0, field: 0.0, kl: 1.0 };
+            learn.gradient = gradient;
+            let mut truth = Truth::<D>::generate(&scene, (0, 2)).unwrap();
+            for v in &mut truth.states[2].velocities {
+                v[0] += away;
+            }
+            let mut learner = Learner::of_truth(&scene, &truth).unwrap();
+            let guess = learner.guess(1);
+            let found = learner.evaluate(&guess, 2).unwrap();
+            println!("{D}D, increments {away:e} away: loss {:.1e}", found.loss);
+            assert!(found.loss.is_finite() && found.loss > 10.0, "{}", found.loss);
+            assert!(found.gradient.iter().all(|g| g.is_finite()));
+            assert!(found.gradient.iter().any(|g| g.abs() > 0.0), "it pulls nowhere");
+            gradients.push(found.gradient);
+        }
+        let largest = common::largest(gradients[0].iter().map(|g| g.abs()));
+        let apart = gradients[0].iter().zip(&gradients[1]).map(|(a, b)| (a - b).abs());
+        assert!(common::largest(apart) < 1e-9 * largest, "{away:e}: forward is not adjoint");
+    }
 }

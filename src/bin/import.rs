@@ -5,10 +5,9 @@ mod common;
 use clap::Parser;
 use common::{conclude, say, say_json};
 use serde::Serialize;
-use std::fs::File;
-use std::io::BufReader;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
+use whirls::arrays::Array;
 use whirls::recording::{Flow, Frame, Recorder, RunInfo};
 use whirls::{Error, Result};
 
@@ -62,9 +61,9 @@ fn import(arguments: &Arguments) -> Result<()> {
             return Err(Error::input(name, "a positive number", value, "give it in box units"));
         }
     }
-    let positions = Array::read(&arguments.positions, 3)?;
-    let velocities = Array::read(&arguments.velocities, 3)?;
-    velocities.must_have(&positions.shape, &arguments.velocities)?;
+    let positions = Array::open(&arguments.positions, 3)?;
+    let velocities = Array::open(&arguments.velocities, 3)?;
+    velocities.must_have(&positions.shape, arguments.velocities.display())?;
     let [frames, particles, dimension] = [0, 1, 2].map(|k| positions.shape[k]);
     if !matches!(dimension, 2 | 3) {
         let place = arguments.positions.display();
@@ -72,8 +71,8 @@ fn import(arguments: &Arguments) -> Result<()> {
     }
     let densities = match &arguments.densities {
         Some(path) => {
-            let densities = Array::read(path, 2)?;
-            densities.must_have(&positions.shape[..2], path)?;
+            let densities = Array::open(path, 2)?;
+            densities.must_have(&positions.shape[..2], path.display())?;
             Some(densities)
         }
         None => None,
@@ -123,66 +122,5 @@ fn run_info(arguments: &Arguments, velocities: &Array, dimension: usize) -> RunI
         speed_scale: if typical > 0.0 { 2.0 * typical } else { 1.0 },
         parameters: Vec::new(),
         metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
-    }
-}
-
-/// An array of a .npy file, as doubles.
-struct Array {
-    shape: Vec<usize>,
-    fortran: bool,
-    values: Vec<f64>,
-}
-
-impl Array {
-    fn read(path: &Path, rank: usize) -> Result<Self> {
-        let refuse = |found: String| {
-            let expected = format!("a .npy array of f32 or f64 with {rank} axes");
-            Err(Error::input(path.display(), expected, found, "save it with numpy.save"))
-        };
-        let file = File::open(path).map_err(|source| Error::read(path, source))?;
-        let bytes = file.metadata().map_err(|source| Error::read(path, source))?.len();
-        let npy = match npyz::NpyFile::new(BufReader::new(file)) {
-            Ok(npy) => npy,
-            Err(error) => return refuse(error.to_string()),
-        };
-        let shape: Vec<usize> = npy.shape().iter().map(|&n| n as usize).collect();
-        let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
-        // A header may promise more than the file holds: look before allocating for it.
-        if count.is_none_or(|count| count as u64 > bytes) || shape.len() != rank || count == Some(0)
-        {
-            return refuse(format!("shape {shape:?} in a file of {bytes} bytes"));
-        }
-        let fortran = npy.order() == npyz::Order::Fortran;
-        let kind = npy.dtype().descr();
-        let values = match kind.as_str() {
-            "'<f4'" | "'>f4'" => {
-                npy.into_vec::<f32>().map(|v| v.into_iter().map(f64::from).collect())
-            }
-            _ => npy.into_vec::<f64>(),
-        };
-        match values {
-            Ok(values) => match values.iter().position(|x| !x.is_finite()) {
-                None => Ok(Self { shape, fortran, values }),
-                Some(place) => {
-                    let (found, remedy) = (values[place], "leave out frames that are not whole");
-                    Err(Error::input(path.display(), "finite numbers", found, remedy))
-                }
-            },
-            Err(error) => refuse(format!("{kind} of shape {shape:?}: {error}")),
-        }
-    }
-
-    fn must_have(&self, shape: &[usize], path: &Path) -> Result<()> {
-        if self.shape == shape {
-            return Ok(());
-        }
-        let (expected, found) = (format!("shape {shape:?}"), format!("{:?}", self.shape));
-        Err(Error::input(path.display(), expected, found, "give arrays of one flow"))
-    }
-
-    fn at(&self, index: &[usize]) -> f64 {
-        let axes = index.iter().zip(&self.shape);
-        let fold = |place: usize, (&i, &n): (&usize, &usize)| place * n + i;
-        self.values[if self.fortran { axes.rev().fold(0, fold) } else { axes.fold(0, fold) }]
     }
 }

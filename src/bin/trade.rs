@@ -13,8 +13,8 @@ use scene::{SceneArguments, describe_choice, explain};
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use whirls::run::{Requirements, write};
-use whirls::trade::{Plan, price_flows, price_gradients, report, settle};
+use whirls::run::{PriceFiles, Requirements, write_prices};
+use whirls::trade::{Plan, Prices, price_flows, price_gradients, price_learning, report, settle};
 use whirls::truth::Truth;
 use whirls::{Flow, Result, Scene};
 
@@ -31,7 +31,13 @@ struct Arguments {
     /// How often each time is taken; the median counts.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     rounds: u16,
-    /// Folder for prices.json, prices.html and the figure [default: recordings/trade-SCENE].
+    /// Most iterations of each search, which shows what a setting does to what is learned.
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// A short look: eight steps, one round, ten iterations.
+    #[arg(long, conflicts_with_all = ["steps", "rounds", "iterations"])]
+    quick: bool,
+    /// Folder for prices.json, prices.html, prices.mcap and the figure [default: recordings/trade-SCENE].
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -59,7 +65,7 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         let found = Requirements::of_flow(scene, &mut flow, false);
         return explain(&[found], arguments.common.json);
     }
-    let plan = Plan { steps: arguments.steps, rounds: usize::from(arguments.rounds) };
+    let plan = plan(arguments);
     let (after, frames) = scene.learn.as_ref().map_or((0, 0), |learn| (learn.after, learn.frames));
     let truth = Truth::<D>::generate(scene, (after, frames))?;
     let bar = progress(Plan::work(scene), "trade");
@@ -67,23 +73,16 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         bar.inc(1);
         bar.set_message(what.to_owned());
     };
-    let flows = price_flows(scene, &truth.states[0], plan, &mut tick);
-    let gradients = match &scene.learn {
-        Some(_) => price_gradients(scene, &truth, plan, &mut tick),
-        None => Ok(Vec::new()),
-    };
+    let prices = price(scene, &truth, plan, &mut tick);
     bar.finish_and_clear();
-    let report = report((scene, plan), &flows?, &gradients?, facts(scene));
+    let report = report((scene, plan), &prices?, facts(scene));
     report.tables.iter().for_each(|table| say(table.plain_text()));
     let default = PathBuf::from(format!("recordings/trade-{}", scene.name));
     let folder = arguments.out.clone().unwrap_or(default);
-    let [json, html] = ["prices.json", "prices.html"].map(|name| folder.join(name));
-    write(&json, &report.json()?)?;
-    write(&html, &report.html()?)?;
-    for figure in &report.figures {
-        write(&folder.join(format!("{}.svg", figure.name)), &figure.svg()?)?;
-    }
+    let flows = (scene, &truth.states[0], plan.steps);
+    let PriceFiles { json, html, recording } = write_prices(&report, flows, &folder)?;
     say(format!("report in {}", html.display()));
+    say(format!("recorded in {}", recording.display()));
     if !arguments.common.json {
         return Ok(());
     }
@@ -92,10 +91,39 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         "particles": scene.particles(),
         "steps": plan.steps,
         "rounds": plan.rounds,
+        "iterations": plan.iterations,
         "tables": report.tables,
         "report": json,
         "html": html,
+        "recording": recording,
     }))
+}
+
+fn plan(arguments: &Arguments) -> Plan {
+    match arguments.quick {
+        true => Plan { steps: 8, rounds: 1, iterations: 10 },
+        false => Plan {
+            steps: arguments.steps,
+            rounds: usize::from(arguments.rounds),
+            iterations: arguments.iterations as usize,
+        },
+    }
+}
+
+/// Everything that a scene lets be priced.
+fn price<const D: usize>(
+    scene: &Scene,
+    truth: &Truth<D>,
+    plan: Plan,
+    tick: &mut dyn FnMut(&str),
+) -> Result<Prices> {
+    let flows = price_flows(scene, &truth.states[0], plan, tick)?;
+    if scene.learn.is_none() {
+        return Ok(Prices { flows, ..Prices::default() });
+    }
+    let gradients = price_gradients(scene, truth, plan, tick)?;
+    let learned = price_learning(scene, truth, plan, tick)?;
+    Ok(Prices { flows, gradients, learned })
 }
 
 /// How to repeat it.

@@ -13,7 +13,7 @@ mod scene;
 use check::{check_coupling, check_gradient};
 use clap::Parser;
 use common::{conclude, say, say_json};
-use flow::{in_dimension, progress};
+use flow::{in_dimension, progress, warn};
 use report::describe;
 use scene::{SceneArguments, describe_choice, explain};
 use std::path::PathBuf;
@@ -96,7 +96,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         // The memory of its sensitivities is wanted for others.
         drop(learner);
         return match arguments.check_gradient {
-            true => check_gradient(scene, &lesson, &guess),
+            true => check_gradient(scene, &lesson, (&guess, arguments.common.json)),
             false => check_coupling(scene, &lesson, (&guess, arguments.common.json)),
         };
     }
@@ -126,6 +126,7 @@ fn learn_and_record<const D: usize>(
             bar.inc(1);
             bar.set_message(format!("loss {:.2e}", iteration.evaluation.loss));
         }
+        Progress::Warning(text) => bar.suspend(|| warn(text)),
     });
     bar.finish_and_clear();
     outcome

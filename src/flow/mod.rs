@@ -23,7 +23,7 @@ use crate::systems::particles::{
     Acceleration, AccelerationSensitivity, Identity, Position, PositionSensitivity, Velocity,
     VelocitySensitivity,
 };
-use crate::systems::verlet::Clock;
+use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::Failure;
 use crate::systems::{self, Needs};
 use crate::vector::Vector;
@@ -325,6 +325,18 @@ impl<const D: usize> Flow<D> {
         }
         self.world.resource_mut::<Neighbours<D>>().invalidate();
         self.started = false;
+    }
+
+    /// `|S|`, the root of the sum of the squares of every `∂(r, v)/∂θ`; zero without sensitivities.
+    pub fn sensitivity_size(&mut self) -> f64 {
+        let mut rows = self.world.query::<(&PositionSensitivity<D>, &VelocitySensitivity<D>)>();
+        let lanes = rows.iter(&self.world).flat_map(|(r, v)| r.0.0.into_iter().chain(v.0.0));
+        lanes.flat_map(|lanes| lanes.to_array()).map(|x| x * x).sum::<f64>().sqrt()
+    }
+
+    /// Side of the periodic box.
+    pub fn box_length(&self) -> f64 {
+        self.world.resource::<Integrator>().space.length
     }
 
     /// Which parameters the sensitivities are for, column by column.

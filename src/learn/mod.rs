@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
 use crate::models::{Medium, Parameter};
 use crate::scene::{Learn, Optimiser, Scene};
-use crate::sensitivity::{Coupling, Gradient, adjoint_gradient};
+use crate::sensitivity::{Coupling, Gradient, SHORTEN, adjoint_gradient};
 use crate::systems::loss::{LossSum, Observations};
 use crate::truth::Truth;
 use rand::RngExt;
@@ -77,6 +77,8 @@ pub struct Learner<const D: usize> {
     columns: Vec<Parameter>,
     frames: usize,
     gradient: Gradient,
+    /// Most bytes that the last adjoint held.
+    held: usize,
     /// Who searches before.
     warm_up: Option<Box<Self>>,
 }
@@ -97,7 +99,7 @@ impl<const D: usize> Learner<D> {
                 Flow::build(scene, &from, Some(&by), Some(observations))?
             }
         };
-        Ok(Self { flow, from, learn, columns, frames, gradient, warm_up: None })
+        Ok(Self { flow, from, learn, columns, frames, gradient, held: 0, warm_up: None })
     }
 
     /// A learner for a scene from a truth, with the scene's warm-up.
@@ -155,15 +157,13 @@ impl<const D: usize> Learner<D> {
     /// Runs the prediction over the first `window` frames and compares it with the truth.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss that
-    /// is not finite.
+    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss or
+    /// gradient that is not finite.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
-        self.flow.set_learned(&self.columns, learned);
-        self.flow.set_window(window);
+        self.start_over(learned, window);
         if self.gradient == Gradient::Adjoint {
             return self.evaluate_backwards(learned, window);
         }
-        self.flow.reset(&self.from);
         (0..self.steps(window)).try_for_each(|_| self.flow.step())?;
         let loss = self.flow.loss();
         let count = learned.len();
@@ -177,10 +177,18 @@ impl<const D: usize> Learner<D> {
         window as u64 * self.learn.every
     }
 
+    /// Puts the prediction back to its start, with other parameters, to be compared over `window` frames.
+    pub fn start_over(&mut self, learned: &[f64], window: usize) {
+        self.flow.set_learned(&self.columns, learned);
+        self.flow.set_window(window);
+        self.flow.reset(&self.from);
+    }
+
     fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         let storage = self.learn.storage;
         let steps = self.steps(window);
         let found = adjoint_gradient(&mut self.flow, &self.from, steps, storage)?;
+        self.held = found.bytes;
         let gradient = self.columns.iter().map(|p| found.gradient[p.index()]).collect();
         self.evaluation(learned, &found.loss, (gradient, Vec::new()))
     }
@@ -192,14 +200,24 @@ impl<const D: usize> Learner<D> {
         (gradient, normal): (Vec<f64>, Vec<f64>),
     ) -> Result<Evaluation> {
         let value = loss.value();
-        if !value.is_finite() {
-            return Err(Error::Diverged {
+        let lost = |quantity: &str, found: f64, remedy: &str| {
+            Err(Error::Diverged {
                 step: self.flow.steps(),
                 time: self.flow.time(),
-                quantity: "the loss".to_owned(),
-                found: format!("is {value}"),
-                remedy: "start nearer to the truth, or take a smaller time step".to_owned(),
-            });
+                quantity: quantity.to_owned(),
+                found: format!("is {found}"),
+                remedy: remedy.to_owned(),
+            })
+        };
+        if !value.is_finite() {
+            return lost(
+                "the loss",
+                value,
+                "start nearer to the truth, or take a smaller time step",
+            );
+        }
+        if let Some(slope) = gradient.iter().find(|slope| !slope.is_finite()) {
+            return lost("a component of the gradient", *slope, SHORTEN);
         }
         Ok(Evaluation {
             parameters: learned.to_vec(),
@@ -210,6 +228,15 @@ impl<const D: usize> Learner<D> {
             gradient,
             normal,
         })
+    }
+
+    /// Bytes that the gradient takes beside the flow: sensitivities, or the most that tape and snapshots
+    /// of the last adjoint held.
+    pub fn gradient_bytes(&self) -> usize {
+        let parts = self.flow.bytes_per_particle();
+        let sensitivities = parts.iter().find(|(part, _)| *part == "sensitivities");
+        let each = sensitivities.map_or(0.0, |(_, bytes)| *bytes);
+        self.held + (each * self.from.positions.len() as f64).round() as usize
     }
 
     /// How the gradient is found.

@@ -169,6 +169,14 @@ macro_rules! hierarchy {
                 }
             }
 
+            /// Units in each hidden layer of its network, where it has one.
+            pub fn height_mut(&mut self) -> Option<&mut usize> {
+                match self {
+                    Self::Physics => None,
+                    $(Self::$name(options) => Some(&mut options.height),)*
+                }
+            }
+
             fn of<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
                 Ok(match self {
                     Self::Physics => Box::new(Physics(medium)),

@@ -15,6 +15,9 @@ use crate::scalar::Scalar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+/// No network has more parameters.
+pub const MOST_PARAMETERS: usize = 10_000_000;
+
 /// The shape of a perceptron with two hidden layers of `height` units each:
 /// `y¹ = tanh(W¹x + b¹)`, `y² = tanh(W²y¹ + b²)`, `out = W³y² + b³` (section 4.1 of the paper).
 ///
@@ -47,7 +50,7 @@ impl Network {
     /// The shape `inputs → height → height → outputs`.
     ///
     /// # Errors
-    /// [`Error::Input`] where one of the three is zero.
+    /// [`Error::Input`] where one of the three is zero, or the network larger than [`MOST_PARAMETERS`].
     pub fn new(inputs: usize, height: usize, outputs: usize) -> Result<Self> {
         if inputs == 0 || height == 0 || outputs == 0 {
             return Err(Error::input(
@@ -55,6 +58,17 @@ impl Network {
                 "at least one input, one unit and one output",
                 format!("{inputs} → {height} → {height} → {outputs}"),
                 "give every layer at least one",
+            ));
+        }
+        let count = |units: usize, receives: usize| units.checked_mul(receives.checked_add(1)?);
+        let layers = [count(height, inputs), count(height, height), count(outputs, height)];
+        let sum = layers.iter().try_fold(0_usize, |sum, &layer| sum.checked_add(layer?));
+        if sum.is_none_or(|sum| sum > MOST_PARAMETERS) {
+            return Err(Error::input(
+                "network",
+                format!("at most {MOST_PARAMETERS} parameters"),
+                format!("{inputs} → {height} → {height} → {outputs}"),
+                "give it less height",
             ));
         }
         Ok(Self { inputs, height, outputs })

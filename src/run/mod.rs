@@ -1,11 +1,13 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
 mod evaluated;
+mod priced;
 mod reproduction;
 mod requirements;
 mod training;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use requirements::Requirements;
 pub use training::{

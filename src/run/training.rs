@@ -3,10 +3,11 @@
 use super::{begin_recording, frame, run_info, run_recorded, truth_from_recording};
 use crate::error::{Error, Result};
 use crate::flow::Flow;
-use crate::learn::{Iteration, Learner, Outcome};
+use crate::learn::{Evaluation, Iteration, Learner, Outcome};
 use crate::models::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
 use crate::scene::{Chosen, Learn, Scene};
+use crate::sensitivity::SHORTEN;
 use crate::statistics::pressure_error;
 use crate::trade::{Choice, settle};
 use crate::truth::{Truth, statistical_floor};
@@ -87,7 +88,13 @@ pub enum Progress<'a> {
     Floor,
     /// One more iteration.
     Iteration(&'a Iteration<'a>),
+    /// Something that is no failure, but should be known; it is in the log, too.
+    Warning(&'a str),
 }
+
+/// Where a loss is this many times as sensitive to its parameters as steady growth from the first step
+/// makes it, the search is told: its gradient holds for relative changes of a millionth.
+const GROWN: f64 = 1e6;
 
 /// A training that is about to begin.
 pub struct Training<'a, const D: usize> {
@@ -194,9 +201,16 @@ impl<const D: usize> Training<'_, D> {
         (recorder, watch): (&mut Recorder, &mut dyn FnMut(Progress<'_>)),
     ) -> Result<Outcome> {
         let start = self.lesson.truth.states[0].time;
+        let mut steady = learner.evaluate(&guess, 1).ok().map(|first| steepness(&first));
         learner.run(guess, &mut |iteration: &Iteration<'_>| {
             watch(Progress::Iteration(iteration));
             recorder.train_step(self.train_step(iteration))?;
+            if let Some(text) = steady.and_then(|steady| growth_warning(iteration, steady)) {
+                watch(Progress::Warning(&text));
+                recorder.log(Level::Warning, start, text)?;
+                // Once is enough.
+                steady = None;
+            }
             if let Some(note) = &iteration.note {
                 let text = format!("iteration {}: {note}", iteration.index);
                 recorder.log(Level::Warning, start, text)?;
@@ -276,6 +290,26 @@ impl<const D: usize> Training<'_, D> {
             pressure_error: None,
         }
     }
+}
+
+/// How much a loss changes with its parameters, as a sum of squares would: `|∂L/∂θ|/√L`.
+fn steepness(evaluation: &Evaluation) -> f64 {
+    let length = evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    length / evaluation.loss.abs().sqrt()
+}
+
+/// What to say where the loss has become far more sensitive than over the first step, `steady`.
+fn growth_warning(iteration: &Iteration<'_>, steady: f64) -> Option<String> {
+    let Iteration { index, window, evaluation, .. } = iteration;
+    let grown = steepness(evaluation) / (steady * *window as f64);
+    // At zero, at the truth, there is nothing to compare.
+    (grown > GROWN && grown.is_finite()).then(|| {
+        format!(
+            "iteration {index}: over {window} steps the loss is {grown:.0e} times as sensitive to its \
+             parameters as steady growth makes it (expected at most {GROWN:.0e}), and its gradient holds \
+             for as much smaller changes only; {SHORTEN}; `train --check-gradient` tells more"
+        )
+    })
 }
 
 /// What is learned, in words.

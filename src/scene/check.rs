@@ -17,7 +17,7 @@ impl Scene {
         requirements.extend(self.motion_requirements());
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
-            requirements.extend(loss_requirements(learn));
+            requirements.extend(loss_requirements(learn, self.most_a_side()));
             let learns_theta = learn.parameters.contains(&Parameter::Theta);
             let forced = matches!(self.forcing, Forcing::Deterministic { .. });
             requirements.push((
@@ -77,6 +77,11 @@ impl Scene {
         ]
     }
 
+    /// Most particles, and most nodes, along each axis.
+    fn most_a_side(&self) -> usize {
+        if self.dimension == 2 { 8192 } else { 406 }
+    }
+
     fn fluid_requirements(&self) -> Vec<Requirement> {
         let f = &self.fluid;
         let show = |x: f64| format!("{x}");
@@ -90,7 +95,7 @@ impl Scene {
                 "0 particles".to_owned(),
             ),
             (
-                f.particles_per_side <= if self.dimension == 2 { 8192 } else { 406 },
+                f.particles_per_side <= self.most_a_side(),
                 "fluid.particles_per_side",
                 "at most 67 million particles (8192 a side in 2D, 406 in 3D)",
                 f.particles_per_side.to_string(),
@@ -220,7 +225,7 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     ]
 }
 
-fn loss_requirements(learn: &Learn) -> Vec<Requirement> {
+fn loss_requirements(learn: &Learn, most_a_side: usize) -> Vec<Requirement> {
     let Weights { trajectory, field, kl } = learn.loss;
     let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
     vec![
@@ -231,11 +236,16 @@ fn loss_requirements(learn: &Learn) -> Vec<Requirement> {
             "weights of zero or more, one of them positive",
             format!("trajectory {trajectory}, field {field}, kl {kl}"),
         ),
-        (learn.mesh != Some(0), "learn.mesh", "at least one node a side", "0".to_owned()),
         (
-            learn.increments.nodes >= FEWEST_NODES,
+            learn.mesh.is_none_or(|nodes| (1..=most_a_side).contains(&nodes)),
+            "learn.mesh",
+            "at least one node a side, at most 67 million (8192 a side in 2D, 406 in 3D)",
+            format!("{} a side", learn.mesh.unwrap_or_default()),
+        ),
+        (
+            (FEWEST_NODES..=1_000_000).contains(&learn.increments.nodes),
             "learn.increments.nodes",
-            "at least 16 nodes (200 are the paper's)",
+            "at least 16 nodes, at most a million (200 are the paper's)",
             learn.increments.nodes.to_string(),
         ),
         (

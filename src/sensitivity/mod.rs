@@ -7,9 +7,11 @@
 
 mod adjoint;
 mod check;
+mod growth;
 
 pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
 pub use check::{ComparedSlope, compare_along_gradient, compare_component};
+pub use growth::{Growth, SHORTEN, USEFUL, sensitivity_growth};
 
 use serde::{Deserialize, Serialize};
 

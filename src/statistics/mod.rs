@@ -68,6 +68,14 @@ pub fn momentum<const D: usize>(mass: f64, velocities: &[Vector<f64, D>]) -> Vec
     sum * mass
 }
 
+/// The time in which the largest eddies turn: `L/2π` over the root-mean-square of a component of `v − v̄`.
+pub fn eddy_time<const D: usize>(velocities: &[Vector<f64, D>], box_length: f64) -> f64 {
+    let count = velocities.len() as f64;
+    let mean = momentum(1.0 / count, velocities);
+    let square: f64 = velocities.iter().map(|&v| (v - mean).norm_squared()).sum();
+    box_length / (std::f64::consts::TAU * (square / (count * D as f64)).sqrt())
+}
+
 /// The largest difference of a flow's pressure from Tait's with `parameters`, over the densities from
 /// `lowest` to `highest`, as a share of the largest pressure there.
 pub fn pressure_error<const D: usize>(

@@ -1,10 +1,11 @@
 //! The price of a flow: step, time step, kernel, smoothing length, skin.
 
-use super::{Effect, Plan, Setting, median};
+use super::knobs::of_flow;
+use super::{Plan, Setting, median};
 use crate::error::Result;
 use crate::flow::{Flow, State};
 use crate::losses::Mesh;
-use crate::scene::{KernelName, Scene};
+use crate::scene::Scene;
 use crate::space::PeriodicBox;
 use crate::statistics::{conservation, momentum};
 use crate::systems::verlet::Step;
@@ -13,7 +14,7 @@ use crate::vector::Vector;
 use std::time::Instant;
 
 /// How much finer the steps of the reference are.
-const FINER: u32 = 16;
+pub const FINER: u32 = 16;
 
 /// How far a flow is from the reference, at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,40 +52,6 @@ pub struct FlowPrice {
     pub errors: FlowErrors,
 }
 
-/// The settings that are tried; the first is the scene's own.
-fn settings(scene: &Scene) -> Vec<Setting> {
-    let own = |_: &mut Scene| {};
-    let mut all = vec![Setting::new(("as it is", Effect::Accuracy), "", scene, own)];
-    for step in Step::ALL {
-        for (name, factor) in [("dt", 1.0), ("dt/2", 0.5), ("dt/4", 0.25), ("2 dt", 2.0)] {
-            let value = format!("{}, {name}", step.name());
-            let change = |s: &mut Scene| {
-                (s.time.dt, s.time.step) = (Some(factor * scene.dt()), step);
-            };
-            all.push(Setting::new(("step", Effect::Accuracy), value, scene, change));
-        }
-    }
-    for skin in [0.0, 0.1, 0.2, 0.3, 0.5] {
-        let change = |s: &mut Scene| s.time.skin = skin;
-        all.push(Setting::new(("skin", Effect::None), format!("{skin} h"), scene, change));
-    }
-    for kernel in [KernelName::CubicSpline, KernelName::WendlandC2, KernelName::WendlandC4] {
-        for wider in [1.0, 1.25, 1.5] {
-            let h = wider * scene.fluid.smoothing_length;
-            if 2.0 * h > 0.5 * scene.fluid.box_length {
-                continue;
-            }
-            let change = |s: &mut Scene| {
-                s.time.dt = Some(scene.dt());
-                (s.fluid.kernel, s.fluid.smoothing_length) = (kernel, h);
-            };
-            let value = format!("{}, {wider} h", kernel.name());
-            all.push(Setting::new(("kernel", Effect::Other), value, scene, change));
-        }
-    }
-    all
-}
-
 /// Prices every setting of a flow from a state; `tick` is called behind each.
 ///
 /// # Errors
@@ -95,24 +62,28 @@ pub fn price_flows<const D: usize>(
     plan: Plan,
     tick: &mut dyn FnMut(&str),
 ) -> Result<Vec<FlowPrice>> {
-    let mut fine = scene.clone();
-    fine.time.step = Step::KickDriftKick;
-    fine.time.dt = Some(scene.dt() / f64::from(FINER));
-    let reference = End::of(&fine, state, plan.steps * u64::from(FINER))?;
+    let reference = End::of(&fine(scene), state, plan.steps * u64::from(FINER))?;
     tick("reference");
-    let settings = settings(scene);
     let mut prices = Vec::new();
-    for setting in settings {
-        let value = format!("{} {}", setting.knob, setting.value);
+    for setting in of_flow(scene) {
+        let name = setting.name();
         prices.push(price(scene, (setting, state), (&reference, plan))?);
-        tick(&value);
+        tick(&name);
     }
     Ok(prices)
 }
 
 /// Number of settings, and the reference.
 pub(super) fn work(scene: &Scene) -> u64 {
-    settings(scene).len() as u64 + 1
+    of_flow(scene).len() as u64 + 1
+}
+
+/// The scene in the steps of the reference, of second order.
+pub fn fine(scene: &Scene) -> Scene {
+    let mut fine = scene.clone();
+    fine.time.step = Step::KickDriftKick;
+    fine.time.dt = Some(scene.dt() / f64::from(FINER));
+    fine
 }
 
 fn price<const D: usize>(
@@ -146,6 +117,14 @@ fn price<const D: usize>(
             errors: FlowErrors::LOST,
         },
     })
+}
+
+/// Root-mean-square distance of the particles of two states, over the scene's smoothing length.
+pub fn distance<const D: usize>(scene: &Scene, a: &State<D>, b: &State<D>) -> f64 {
+    let space = PeriodicBox { length: scene.fluid.box_length };
+    let places = a.positions.iter().zip(&b.positions);
+    let apart: f64 = places.map(|(&a, &b)| space.minimum_image(a - b).norm_squared()).sum();
+    (apart / a.positions.len() as f64).sqrt() / scene.fluid.smoothing_length
 }
 
 /// A flow at its end.
@@ -183,17 +162,13 @@ impl<const D: usize> End<D> {
         scene: &Scene,
         (start, reference): (&State<D>, &Self),
     ) -> FlowErrors {
-        let space = PeriodicBox { length: scene.fluid.box_length };
-        let count = self.state.positions.len() as f64;
-        let places = self.state.positions.iter().zip(&reference.state.positions);
-        let apart: f64 = places.map(|(&a, &b)| space.minimum_image(a - b).norm_squared()).sum();
         let fields = self.field.iter().zip(&reference.field);
         let differ: f64 = fields.map(|(&a, &b)| (a - b).norm_squared()).sum();
         let size: f64 = reference.field.iter().map(|v| v.norm_squared()).sum();
         let speeds: f64 = start.velocities.iter().map(|v| v.norm()).sum();
         let drift = momentum(1.0, &self.state.velocities) - momentum(1.0, &start.velocities);
         FlowErrors {
-            trajectory: (apart / count).sqrt() / scene.fluid.smoothing_length,
+            trajectory: distance(scene, &self.state, &reference.state),
             field: (differ / size).sqrt(),
             energy: (self.energy - reference.energy).abs() / reference.energy.abs(),
             momentum: drift.norm() / speeds,

@@ -1,10 +1,10 @@
-//! The price of a gradient: way, coupling, storage, mesh, nodes, frames.
+//! The price of a gradient: way, storage, coupling, mesh, nodes, frames, height.
 
-use super::{Effect, Plan, Setting, median};
+use super::knobs::of_gradient;
+use super::{Plan, Setting, median};
 use crate::error::Result;
 use crate::learn::Learner;
 use crate::scene::{Optimiser, Scene};
-use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::truth::Truth;
 use std::time::Instant;
 
@@ -17,7 +17,9 @@ pub struct GradientPrice {
     pub seconds: f64,
     /// That, over the scene's own.
     pub cost: f64,
-    /// Cosine of the angle to the scene's full gradient.
+    /// Bytes per particle that it takes beside the flow: sensitivities, or tape and snapshots.
+    pub bytes: f64,
+    /// Cosine of the angle to the scene's full gradient; not a number for other parameters than its.
     pub cosine: f64,
     /// Length over that of the full gradient.
     pub length: f64,
@@ -25,64 +27,9 @@ pub struct GradientPrice {
     pub difference: f64,
 }
 
-/// The settings that are tried; the first is the scene's own.
-fn settings(scene: &Scene) -> Vec<Setting> {
-    let mut all = vec![Setting::new(("as it is", Effect::None), "", scene, |_| {})];
-    let Some(learn) = &scene.learn else { return all };
-    let ways = [("forward", Gradient::Forward), ("adjoint", Gradient::Adjoint)];
-    for (name, gradient) in ways {
-        let change = |s: &mut Scene| set(s, |learn| learn.gradient = gradient);
-        all.push(Setting::new(("way", Effect::None), name, scene, change));
-    }
-    for count in [1, 3] {
-        let storage = Storage::Checkpoints(count);
-        let change = |s: &mut Scene| {
-            set(s, |learn| (learn.gradient, learn.storage) = (Gradient::Adjoint, storage));
-        };
-        let value = format!("adjoint, checkpoints = {count}");
-        all.push(Setting::new(("storage", Effect::None), value, scene, change));
-    }
-    let local = |s: &mut Scene| {
-        set(s, |learn| (learn.gradient, learn.coupling) = (Gradient::Forward, Coupling::Local));
-    };
-    all.push(Setting::new(("coupling", Effect::Accuracy), "local", scene, local));
-    if learn.loss.field > 0.0 {
-        let n = learn.mesh.unwrap_or(scene.fluid.particles_per_side);
-        for nodes in [n / 2, 2 * n] {
-            let change = |s: &mut Scene| set(s, |learn| learn.mesh = Some(nodes.max(1)));
-            let value = format!("{nodes} a side");
-            all.push(Setting::new(("mesh", Effect::Other), value, scene, change));
-        }
-    }
-    if learn.loss.kl > 0.0 {
-        for nodes in [50, 100, 400] {
-            let change = |s: &mut Scene| set(s, |learn| learn.increments.nodes = nodes);
-            all.push(Setting::new(("nodes", Effect::Other), nodes, scene, change));
-        }
-    }
-    for frames in [learn.frames / 4, learn.frames / 2] {
-        if frames > 0 {
-            let change = |s: &mut Scene| {
-                set(s, |learn| {
-                    learn.frames = frames;
-                    learn.windows.retain(|&window| window <= frames);
-                });
-            };
-            all.push(Setting::new(("frames", Effect::Other), frames, scene, change));
-        }
-    }
-    all
-}
-
-fn set(scene: &mut Scene, change: impl FnOnce(&mut crate::scene::Learn)) {
-    if let Some(learn) = &mut scene.learn {
-        change(learn);
-    }
-}
-
 /// Number of settings.
 pub(super) fn work(scene: &Scene) -> u64 {
-    settings(scene).len() as u64
+    of_gradient(scene).len() as u64
 }
 
 /// Prices every setting of a scene's gradient, at its first guess; `tick` is called behind each.
@@ -97,49 +44,67 @@ pub fn price_gradients<const D: usize>(
 ) -> Result<Vec<GradientPrice>> {
     let mut scene = scene.clone();
     // Any way of finding the gradient is to be priced, whatever the search needs.
-    set(&mut scene, |learn| {
+    if let Some(learn) = &mut scene.learn {
         learn.optimiser = Optimiser::Adam { rate: 0.01, decay: 1.0 };
         learn.warm_up = None;
-    });
+    }
     let mut own = Learner::of_truth(&scene, truth)?;
     let guess = own.guess(scene.seed);
     let mut prices = Vec::new();
-    for setting in settings(&scene) {
-        let value = format!("gradient: {} {}", setting.knob, setting.value);
-        let frames = setting.scene.learning()?.frames;
-        let mut learner = Learner::of_truth(&setting.scene, truth)?;
-        let (mut shares, mut times) = (Vec::new(), Vec::new());
-        let (mut full, mut found) = (Vec::new(), Vec::new());
-        for _ in 0..plan.rounds.max(1) {
-            let clock = Instant::now();
-            full = own.evaluate(&guess, scene.learning()?.frames)?.gradient;
-            let beside = clock.elapsed().as_secs_f64();
-            let clock = Instant::now();
-            found = learner.evaluate(&guess, frames)?.gradient;
-            times.push(clock.elapsed().as_secs_f64());
-            shares.push(times[times.len() - 1] / beside);
-        }
-        prices.push(compare(setting, (&found, &full), (median(times), median(shares))));
-        tick(&value);
+    for setting in of_gradient(&scene) {
+        let name = format!("gradient, {}", setting.name());
+        prices.push(price((&scene, setting), (&mut own, &guess), truth, plan)?);
+        tick(&name);
     }
     Ok(prices)
 }
 
-fn compare(
-    setting: Setting,
-    (found, full): (&[f64], &[f64]),
-    (seconds, cost): (f64, f64),
-) -> GradientPrice {
+/// One setting in turns with the scene's own; one that cannot be had (a budget that has no room for a step, a
+/// flow that is lost) has no numbers.
+fn price<const D: usize>(
+    (scene, setting): (&Scene, Setting),
+    (own, guess): (&mut Learner<D>, &[f64]),
+    truth: &Truth<D>,
+    plan: Plan,
+) -> Result<GradientPrice> {
+    let frames = setting.scene.learning()?.frames;
+    let mut learner = Learner::of_truth(&setting.scene, truth)?;
+    // Another network has other weights.
+    let at = if setting.knob == "height" { learner.guess(scene.seed) } else { guess.to_vec() };
+    let (mut shares, mut times) = (Vec::new(), Vec::new());
+    let (mut full, mut found) = (Vec::new(), Vec::new());
+    for _ in 0..plan.rounds.max(1) {
+        let clock = Instant::now();
+        full = own.evaluate(guess, scene.learning()?.frames)?.gradient;
+        let beside = clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        let Ok(evaluation) = learner.evaluate(&at, frames) else { break };
+        found = evaluation.gradient;
+        times.push(clock.elapsed().as_secs_f64());
+        shares.push(times[times.len() - 1] / beside);
+    }
+    let bytes = match times.is_empty() {
+        true => f64::NAN,
+        false => learner.gradient_bytes() as f64 / truth.states[0].positions.len() as f64,
+    };
+    let price = compare(setting, (&found, &full));
+    Ok(GradientPrice { seconds: median(times), cost: median(shares), bytes, ..price })
+}
+
+/// A gradient beside the full one; not a number where they are of other parameters.
+fn compare(setting: Setting, (found, full): (&[f64], &[f64])) -> GradientPrice {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let (length, size) = (dot(found, found).sqrt(), dot(full, full).sqrt());
     let largest = full.iter().fold(0.0_f64, |top, g| top.max(g.abs()));
     let apart = found.iter().zip(full).fold(0.0_f64, |top, (a, b)| top.max((a - b).abs()));
+    let same = if found.len() == full.len() { 1.0 } else { f64::NAN };
     GradientPrice {
         setting,
-        seconds,
-        cost,
-        cosine: dot(found, full) / (length * size),
-        length: length / size,
-        difference: apart / largest,
+        seconds: f64::NAN,
+        cost: f64::NAN,
+        bytes: f64::NAN,
+        cosine: same * dot(found, full) / (length * size),
+        length: same * length / size,
+        difference: same * apart / largest,
     }
 }

@@ -1,19 +1,23 @@
 //! The price list: what each setting that buys speed costs in accuracy, measured on this machine.
 //!
 //! Flows are compared with a *reference*: the scene's own law from the same state in steps sixteen
-//! times finer, of second order. Gradients are compared with the full, exact one. Times are taken
-//! in turns with the scene's own setting, and given as multiples of its: whatever else slows the machine
-//! down slows both.
+//! times finer, of second order. Gradients are compared with the full, exact one, and what is learned with
+//! them with the truth. Times are taken in turns with the scene's own setting, and given as multiples of
+//! its: whatever else slows the machine down slows both.
 
 mod choose;
 mod flows;
 mod gradients;
+mod knobs;
+mod learned;
 mod tables;
 
 pub use choose::{CALIBRATION, Choice, Trial, choose, settle};
-pub use flows::{FlowErrors, FlowPrice, price_flows};
+pub use flows::{FINER, FlowErrors, FlowPrice, distance, fine, price_flows};
 pub use gradients::{GradientPrice, price_gradients};
-pub use tables::report;
+pub use knobs::{Effect, Setting};
+pub use learned::{LearnedPrice, price_learning};
+pub use tables::{Prices, report};
 
 use crate::scene::Scene;
 
@@ -24,55 +28,24 @@ pub struct Plan {
     pub steps: u64,
     /// How often each time is taken; the median counts.
     pub rounds: usize,
+    /// Most iterations of each search.
+    pub iterations: usize,
 }
 
 impl Plan {
     /// Settings in all, for an estimate of the time left.
     pub fn work(scene: &Scene) -> u64 {
-        flows::work(scene) + if scene.learn.is_some() { gradients::work(scene) } else { 0 }
+        let learned = match &scene.learn {
+            Some(_) => gradients::work(scene) + learned::work(scene),
+            None => 0,
+        };
+        flows::work(scene) + learned
     }
 }
 
 impl Default for Plan {
     fn default() -> Self {
-        Self { steps: 40, rounds: 5 }
-    }
-}
-
-/// What a setting does to the results.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effect {
-    /// Nothing but round-off.
-    None,
-    /// It approximates the same equations less or more closely.
-    Accuracy,
-    /// It solves other equations: what stands there as an error is a difference.
-    Other,
-}
-
-/// One setting: the scene with one choice made differently.
-#[derive(Clone, Debug)]
-pub struct Setting {
-    /// Which choice.
-    pub knob: &'static str,
-    /// How it is made.
-    pub value: String,
-    /// The scene with it.
-    pub scene: Scene,
-    /// What it does to the results.
-    pub effect: Effect,
-}
-
-impl Setting {
-    fn new(
-        (knob, effect): (&'static str, Effect),
-        value: impl ToString,
-        scene: &Scene,
-        change: impl FnOnce(&mut Scene),
-    ) -> Self {
-        let mut scene = scene.clone();
-        change(&mut scene);
-        Self { knob, value: value.to_string(), scene, effect }
+        Self { steps: 40, rounds: 5, iterations: 40 }
     }
 }
 
@@ -83,6 +56,22 @@ fn median(mut values: Vec<f64>) -> f64 {
         0 => f64::NAN,
         count => 0.5 * (values[(count - 1) / 2] + values[count / 2]),
     }
+}
+
+/// Errors below this are round-off: none is better than another.
+const ROUND_OFF: f64 = 1e-12;
+
+/// Marks the settings that are best of their price, where each has a cost and an error; one without stands
+/// outside the contest.
+fn best(points: impl Iterator<Item = Option<(f64, f64)>>) -> Vec<bool> {
+    let outside = (f64::NAN, f64::NAN);
+    let points: Vec<_> = points.map(|point| point.unwrap_or(outside)).collect();
+    pareto(
+        &points
+            .iter()
+            .map(|&(cost, error)| (cost, error.clamp(ROUND_OFF, f64::INFINITY)))
+            .collect::<Vec<_>>(),
+    )
 }
 
 /// Marks what is best of its price: nothing else is both cheaper and more accurate.
@@ -104,6 +93,12 @@ mod tests {
     fn the_best_are_those_that_nothing_beats_in_both() {
         let points = [(1.0, 1.0), (2.0, 0.1), (2.0, 0.2), (3.0, 0.1), (0.5, 9.0), (0.4, f64::NAN)];
         assert_eq!(pareto(&points), [true, true, false, false, true, false]);
+    }
+
+    #[test]
+    fn errors_of_round_off_are_equal_and_who_has_none_stands_outside() {
+        let points = [Some((1.0, 1e-15)), Some((2.0, 1e-16)), None, Some((0.5, 0.1))];
+        assert_eq!(best(points.into_iter()), [true, false, false, true]);
     }
 
     #[test]

@@ -1,15 +1,25 @@
 //! The price list as a report.
 
-use super::{Effect, FlowPrice, GradientPrice, Plan, pareto};
+use super::{Effect, FlowPrice, GradientPrice, LearnedPrice, Plan, best};
 use crate::report::{Axis, Cell, Curve, Figure, Report, Role, Row, Scale, Table};
 use crate::scene::Scene;
 use crate::systems::verlet::Step;
 
+/// Everything that was priced.
+#[derive(Clone, Debug, Default)]
+pub struct Prices {
+    /// Of the flow.
+    pub flows: Vec<FlowPrice>,
+    /// Of the gradient; none where nothing is learned.
+    pub gradients: Vec<GradientPrice>,
+    /// Of what is learned; none where nothing is.
+    pub learned: Vec<LearnedPrice>,
+}
+
 /// The price list; `facts` say how to repeat it.
 pub fn report(
     (scene, plan): (&Scene, Plan),
-    flows: &[FlowPrice],
-    gradients: &[GradientPrice],
+    prices: &Prices,
     facts: Vec<(String, String)>,
 ) -> Report {
     let about = vec![
@@ -22,13 +32,19 @@ pub fn report(
         ),
         format!(
             "Errors of flows are those after {} steps of the scene against a reference in steps sixteen \
-             times finer. A dot marks the best of its price: no other step is both cheaper and closer.",
+             times finer. A dot marks the best of its price: no other setting that asks the same question \
+             is both cheaper and closer; errors below 1e-12 are round-off and count as equal.",
             plan.steps
         ),
+        "There is one tanh, within three units in the last place of the exact one: no cheaper, rougher one \
+         is offered, so it has no price."
+            .to_owned(),
     ];
+    let Prices { flows, gradients, learned } = prices;
     let mut tables = vec![flow_table(flows)];
     if !gradients.is_empty() {
         tables.push(gradient_table(gradients));
+        tables.push(learned_table(learned, plan));
     }
     Report {
         title: format!("Prices: {}", scene.name),
@@ -39,23 +55,28 @@ pub fn report(
     }
 }
 
-fn name(knob: &str, value: &str) -> String {
-    if value.is_empty() { knob.to_owned() } else { format!("{knob}: {value}") }
+/// The cell that marks the best.
+fn dot(best: bool) -> Cell {
+    Cell::Text(if best { "●" } else { "" }.to_owned())
 }
 
+fn headings<const N: usize>(names: [&str; N]) -> Vec<String> {
+    names.map(str::to_owned).to_vec()
+}
+
+/// What must be known to read the prices of the flow.
+const FLOW_CAPTION: &str = "Cost of the same stretch of flow over that of the scene as it is; nanoseconds per \
+                            particle and step; bytes per particle. Errors at the end: root-mean-square \
+                            distance of particles over h, of the smoothed velocity field over its size, of \
+                            the total energy over itself, drift of momentum over Σ|v|.";
+
 fn flow_table(flows: &[FlowPrice]) -> Table {
-    let steps: Vec<&FlowPrice> =
-        flows.iter().filter(|price| price.setting.effect == Effect::Accuracy).collect();
-    let points: Vec<_> = steps.iter().map(|p| (p.cost, p.errors.trajectory)).collect();
-    let best: Vec<&str> = steps
-        .iter()
-        .zip(pareto(&points))
-        .filter(|(_, best)| *best)
-        .map(|(price, _)| price.setting.value.as_str())
-        .collect();
-    let row = |price: &FlowPrice| {
+    let marks = best(flows.iter().map(|price| {
+        let contests = price.setting.effect == Effect::Accuracy;
+        contests.then_some((price.cost, price.errors.trajectory))
+    }));
+    let row = |(price, best): (&FlowPrice, bool)| {
         let FlowPrice { setting, step_ns, cost, bytes, neighbours, errors } = price;
-        let marked = setting.effect == Effect::Accuracy && best.contains(&setting.value.as_str());
         let lost = errors.trajectory.is_nan();
         let effect = match setting.effect {
             _ if lost => "does not hold",
@@ -63,66 +84,117 @@ fn flow_table(flows: &[FlowPrice]) -> Table {
             Effect::Accuracy => "accuracy",
             Effect::Other => "the equations",
         };
+        let numbers = [
+            *cost,
+            *step_ns,
+            *bytes,
+            *neighbours,
+            errors.trajectory,
+            errors.field,
+            errors.energy,
+            errors.momentum,
+        ];
+        let cells = numbers.map(Cell::Number).into_iter().chain([Cell::Text(effect.to_owned())]);
         Row {
-            name: name(setting.knob, &setting.value),
+            name: setting.name(),
             role: Role::Model,
-            cells: vec![
-                Cell::Text(if marked { "●" } else { "" }.to_owned()),
-                Cell::Number(*cost),
-                Cell::Number(*step_ns),
-                Cell::Number(*bytes),
-                Cell::Number(*neighbours),
-                Cell::Number(errors.trajectory),
-                Cell::Number(errors.field),
-                Cell::Number(errors.energy),
-                Cell::Number(errors.momentum),
-                Cell::Text(effect.to_owned()),
-            ],
+            cells: std::iter::once(dot(best)).chain(cells).collect(),
         }
     };
     Table {
         name: "flow".to_owned(),
         title: "The flow".to_owned(),
-        caption: "Cost of the same stretch of flow over that of the scene as it is; nanoseconds per \
-                  particle and step; bytes per particle. Errors at the end: root-mean-square distance of \
-                  particles over h, of the smoothed velocity field over its size, of the total energy \
-                  over itself, drift of momentum over Σ|v|."
-            .to_owned(),
-        columns: [
-            "setting", "best", "cost", "ns/step", "bytes", "neighbours", "trajectory", "field",
-            "energy", "momentum", "changes",
-        ]
-        .map(str::to_owned)
-        .to_vec(),
-        rows: flows.iter().map(row).collect(),
+        caption: FLOW_CAPTION.to_owned(),
+        columns: headings([
+            "setting",
+            "best",
+            "cost",
+            "ns/step",
+            "bytes",
+            "neighbours",
+            "trajectory",
+            "field",
+            "energy",
+            "momentum",
+            "changes",
+        ]),
+        rows: flows.iter().zip(marks).map(row).collect(),
     }
 }
 
 fn gradient_table(gradients: &[GradientPrice]) -> Table {
-    let row = |price: &GradientPrice| Row {
-        name: name(price.setting.knob, &price.setting.value),
-        role: Role::Model,
-        cells: vec![
-            Cell::Number(price.cost),
-            Cell::Number(price.seconds),
-            Cell::Number(price.cosine),
-            Cell::Number(price.length),
-            Cell::Number(price.difference),
-        ],
+    let marks = best(gradients.iter().map(|price| {
+        let contests = price.setting.effect != Effect::Other;
+        contests.then_some((price.cost, price.difference))
+    }));
+    let row = |(price, best): (&GradientPrice, bool)| {
+        let GradientPrice { cost, seconds, bytes, cosine, length, difference, .. } = *price;
+        let numbers = [cost, seconds, bytes, cosine, length, difference].map(Cell::Number);
+        Row {
+            name: price.setting.name(),
+            role: Role::Model,
+            cells: std::iter::once(dot(best)).chain(numbers).collect(),
+        }
     };
     Table {
         name: "gradient".to_owned(),
         title: "The gradient".to_owned(),
-        caption: "Cost over that of the scene as it is; seconds for one gradient at the first guess; \
+        caption: "Cost over that of the scene as it is; seconds for one gradient at the first guess; bytes \
+                  per particle beside the flow: sensitivities, or the most that tape and snapshots held; \
                   cosine of the angle to the scene's full gradient, length over its length, largest \
-                  difference of a component over the largest component. Mesh, nodes and frames ask another \
-                  question: their gradient is of another loss."
+                  difference of a component over the largest component. Mesh, nodes, frames and height ask \
+                  another question: their gradient is of another loss."
             .to_owned(),
-        columns: ["setting", "cost", "seconds", "cosine", "length", "difference"]
-            .map(str::to_owned)
-            .to_vec(),
-        rows: gradients.iter().map(row).collect(),
+        columns: headings([
+            "setting", "best", "cost", "seconds", "bytes", "cosine", "length", "difference",
+        ]),
+        rows: gradients.iter().zip(marks).map(row).collect(),
     }
+}
+
+fn learned_row((price, best): (&LearnedPrice, bool)) -> Row {
+    let LearnedPrice { cost, seconds, iterations, loss, error, .. } = *price;
+    let cells = [
+        dot(best),
+        Cell::Number(cost),
+        Cell::Number(seconds),
+        Cell::Count(iterations as u64),
+        Cell::Number(loss),
+        if error.is_nan() { Cell::Nothing } else { Cell::Number(error) },
+    ];
+    Row { name: price.setting.name(), role: Role::Model, cells: cells.to_vec() }
+}
+
+/// Searches are told apart by the worst parameter, or where its truth is not known by the loss.
+fn learned_table(learned: &[LearnedPrice], plan: Plan) -> Table {
+    let marks = best(learned.iter().map(|price| {
+        Some((price.cost, if price.error.is_nan() { price.loss } else { price.error }))
+    }));
+    let mut table = Table {
+        name: "learned".to_owned(),
+        title: "What is learned".to_owned(),
+        caption: format!(
+            "The scene's search of at most {} iterations with each setting: cost over that of the scene as \
+             it is, seconds, iterations, the scene's own loss at the end, relative error of the worst \
+             parameter. Second order needs forward sensitivities; by the adjoint L-BFGS searches. Storage \
+             gives the same bits and is left out. Steps and kernels learn from a truth in steps sixteen \
+             times finer, and their loss is that of their own frames: what is left there is what their \
+             errors do to the parameters.",
+            plan.iterations
+        ),
+        columns: headings([
+            "setting",
+            "best",
+            "cost",
+            "seconds",
+            "iterations",
+            "loss",
+            "worst parameter",
+        ]),
+        rows: learned.iter().zip(marks).map(learned_row).collect(),
+    };
+    table.drop_empty_columns();
+    table
 }
 
 /// Error by cost, a curve per kind of step.

@@ -1,5 +1,6 @@
 //! A folder in which commands run, with a small scene in it.
 
+#![allow(dead_code, reason = "each test file uses some of these")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
 use serde_json::Value;

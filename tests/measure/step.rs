@@ -75,6 +75,7 @@ fn main() {
         "/pair",
         "/floor",
         "search",
+        "builds",
         "bytes/N",
     );
     for &side in &arguments.sides {

@@ -1,13 +1,16 @@
 //! What a gradient is worth: against other ways to find it, and with less of it.
 
 use crate::common::{say, say_json};
-use crate::flow::progress;
+use crate::flow::{progress, warn};
 use serde::Serialize;
 use std::time::Instant;
 use whirls::learn::{Evaluation, Learner};
 use whirls::run::Lesson;
 use whirls::scene::Optimiser;
-use whirls::sensitivity::{Coupling, Gradient, compare_along_gradient, compare_component};
+use whirls::sensitivity::{
+    ComparedSlope, Coupling, Gradient, Growth, SHORTEN, USEFUL, compare_along_gradient,
+    compare_component, sensitivity_growth,
+};
 use whirls::{Error, Result, Scene};
 
 /// Most parameters of which every one has a line; of more, the [`LARGEST`] components have one.
@@ -57,24 +60,84 @@ fn timed<const D: usize>(
 pub(crate) fn check_gradient<const D: usize>(
     scene: &Scene,
     lesson: &Lesson<D>,
-    guess: &[f64],
+    (guess, json): (&[f64], bool),
 ) -> Result<()> {
     let mut forward = timed(scene, lesson, guess, Gradient::Forward)?;
     let mut adjoint = timed(scene, lesson, guess, Gradient::Adjoint)?;
     let frames = lesson.learn.frames;
     let clock = Instant::now();
-    if guess.len() <= LINES {
-        compare_all(&mut forward, &adjoint.found, frames)?;
+    let along = if guess.len() <= LINES {
+        compare_all(&mut forward, &adjoint.found, frames)?
     } else {
-        compare_most(&forward.found, &mut adjoint, frames)?;
-    }
+        compare_most(&forward.found, &mut adjoint, frames)?
+    };
     say(format!(
         "seconds: forward {:.3}, adjoint {:.3}, differences {:.3}",
         forward.seconds,
         adjoint.seconds,
         clock.elapsed().as_secs_f64()
     ));
-    Ok(())
+    let growth = sensitivity_growth(&mut forward.learner, guess, frames)?;
+    describe_growth(&growth, (&along, frames));
+    let report = GradientReport {
+        scene: scene.name.clone(),
+        parameters: guess.len(),
+        steps: frames,
+        loss: forward.found.loss,
+        length: length(&forward.found.gradient),
+        difference: along.relative,
+        useful: along.relative <= USEFUL,
+        growth: Rates::of(&growth),
+    };
+    if json { say_json(&report) } else { Ok(()) }
+}
+
+/// The object of `--check-gradient --json`.
+#[derive(Serialize)]
+struct GradientReport {
+    scene: String,
+    parameters: usize,
+    steps: usize,
+    loss: f64,
+    length: f64,
+    difference: f64,
+    useful: bool,
+    growth: Rates,
+}
+
+/// How fast sensitivities grow.
+#[derive(Serialize)]
+struct Rates {
+    per_time: f64,
+    per_step: f64,
+    per_eddy: f64,
+}
+
+impl Rates {
+    fn of(growth: &Growth) -> Self {
+        let Growth { rate: per_time, per_step, per_eddy, .. } = *growth;
+        Self { per_time, per_step, per_eddy }
+    }
+}
+
+/// Prints how fast the sensitivities grow, and warns where the gradient has outgrown its use.
+fn describe_growth(growth: &Growth, (along, frames): (&ComparedSlope, usize)) {
+    let Growth { sizes, rate, per_step, per_eddy } = growth;
+    say(format!(
+        "sensitivities over {frames} steps: |S| from {:.1e} to {:.1e}; d ln|S|/dt {rate:.3}, {per_step:.2e} \
+         a step, {per_eddy:.2} per eddy time (second half of the run)",
+        sizes.first().copied().unwrap_or(f64::NAN),
+        sizes.last().copied().unwrap_or(f64::NAN),
+    ));
+    if along.relative <= USEFUL {
+        return;
+    }
+    warn(&format!(
+        "over {frames} steps the gradient has outgrown its use: along itself the best central difference \
+         is off by {:.1e} (expected at most {USEFUL:.0e}), so it holds for no change of the parameters \
+         that a search can make; {SHORTEN}",
+        along.relative
+    ));
 }
 
 /// One line for each parameter.
@@ -82,7 +145,7 @@ fn compare_all<const D: usize>(
     forward: &mut Timed<D>,
     adjoint: &Evaluation,
     frames: usize,
-) -> Result<()> {
+) -> Result<ComparedSlope> {
     let (learner, found) = (&mut forward.learner, &forward.found);
     say(format!("loss {:.6e} at {:.6?}", found.loss, found.parameters));
     say("  parameter  forward                 against adjoint   against differences");
@@ -96,7 +159,9 @@ fn compare_all<const D: usize>(
             slope.relative
         ));
     }
-    Ok(())
+    let along = compare_along_gradient(learner, found, frames)?;
+    say(format!("  along the gradient, differences are off by {:.1e}", along.relative));
+    Ok(along)
 }
 
 /// The gradient as a whole, and its largest components; differences from the adjoint's flow, which
@@ -105,7 +170,7 @@ fn compare_most<const D: usize>(
     forward: &Evaluation,
     adjoint: &mut Timed<D>,
     frames: usize,
-) -> Result<()> {
+) -> Result<ComparedSlope> {
     let (learner, found) = (&mut adjoint.learner, &adjoint.found);
     let (ahead, back) = (length(&forward.gradient), length(&found.gradient));
     let apart = forward.gradient.iter().zip(&found.gradient).map(|(a, b)| (a - b).abs());
@@ -127,7 +192,7 @@ fn compare_most<const D: usize>(
         let slope = compare_component(learner, found, component, frames)?;
         line(&learner.columns()[component].name(), slope.exact, slope.relative);
     }
-    Ok(())
+    Ok(along)
 }
 
 fn length(gradient: &[f64]) -> f64 {

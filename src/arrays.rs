@@ -1,0 +1,235 @@
+//! Arrays of other programs: the `.npy` files that `numpy.save` writes.
+//!
+//! The file is not trusted: nothing is allocated by a length that its header alone claims, and the header
+//! is read in one pass without recursion.
+
+use crate::error::{Error, Result};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+/// What every `.npy` file begins with.
+const MAGIC: &[u8; 6] = b"\x93NUMPY";
+
+/// No header is longer: that of an array of numbers has some hundred bytes.
+const LONGEST_HEADER: u64 = 1 << 16;
+
+/// An array of finite numbers, as doubles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Lengths of its axes.
+    pub shape: Vec<usize>,
+    /// Its numbers, in the order of the file.
+    pub values: Vec<f64>,
+    /// Whether the first axis runs fastest.
+    fortran: bool,
+}
+
+impl Array {
+    /// The array of a `.npy` file: `f32` or `f64` of either byte order, C or Fortran order, with `rank` axes.
+    ///
+    /// # Errors
+    /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is anything else.
+    pub fn open(path: &Path, rank: usize) -> Result<Self> {
+        let failed = |source| Error::read(path, source);
+        let file = File::open(path).map_err(failed)?;
+        let bytes = file.metadata().map_err(failed)?.len();
+        Self::read((BufReader::new(file), bytes), rank, path.display())
+    }
+
+    /// The same from the `bytes` bytes of a reader; `place` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Input`] as [`Array::open`].
+    pub fn read(
+        (mut reader, bytes): (impl Read, u64),
+        rank: usize,
+        place: impl ToString,
+    ) -> Result<Self> {
+        let place = place.to_string();
+        let refuse = |found: String| {
+            let expected = format!("a .npy array of f32 or f64 with {rank} axes");
+            Error::input(&place, expected, found, "save it with numpy.save")
+        };
+        let header = Header::read(&mut reader, bytes).map_err(&refuse)?;
+        let Header { shape, kind, fortran, length } = header;
+        let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
+        let wanted = count.and_then(|count| (kind.bytes as u64).checked_mul(count as u64));
+        let held = bytes - length;
+        if wanted != Some(held) || shape.len() != rank || held == 0 {
+            return Err(refuse(format!("shape {shape:?} and {held} bytes of numbers")));
+        }
+        let mut values = Vec::with_capacity(count.unwrap_or(0));
+        let mut number = [0; 8];
+        for _ in 0..values.capacity() {
+            let bytes = &mut number[..kind.bytes];
+            reader.read_exact(bytes).map_err(|error| refuse(error.to_string()))?;
+            values.push(kind.number(bytes));
+        }
+        match values.iter().find(|x| !x.is_finite()) {
+            None => Ok(Self { shape, values, fortran }),
+            Some(found) => {
+                let remedy = "leave out frames that are not whole";
+                Err(Error::input(&place, "finite numbers", found, remedy))
+            }
+        }
+    }
+
+    /// Refuses another shape; `place` names the array in the error.
+    ///
+    /// # Errors
+    /// [`Error::Input`].
+    pub fn must_have(&self, shape: &[usize], place: impl ToString) -> Result<()> {
+        if self.shape == shape {
+            return Ok(());
+        }
+        let (expected, found) = (format!("shape {shape:?}"), format!("{:?}", self.shape));
+        Err(Error::input(place, expected, found, "give arrays of one flow"))
+    }
+
+    /// The number at an index, one entry per axis.
+    pub fn at(&self, index: &[usize]) -> f64 {
+        let axes = index.iter().zip(&self.shape);
+        let fold = |place: usize, (&i, &n): (&usize, &usize)| place * n + i;
+        self.values[if self.fortran { axes.rev().fold(0, fold) } else { axes.fold(0, fold) }]
+    }
+}
+
+/// How a number is stored.
+#[derive(Clone, Copy)]
+struct Kind {
+    bytes: usize,
+    big_endian: bool,
+}
+
+impl Kind {
+    fn of(descr: &str) -> Option<Self> {
+        let (order, bytes) = (descr.get(..1)?, descr.get(1..)?);
+        let big_endian = match order {
+            "<" => false,
+            ">" => true,
+            _ => return None,
+        };
+        match bytes {
+            "f4" => Some(Self { bytes: 4, big_endian }),
+            "f8" => Some(Self { bytes: 8, big_endian }),
+            _ => None,
+        }
+    }
+
+    fn number(self, bytes: &mut [u8]) -> f64 {
+        if self.big_endian {
+            bytes.reverse();
+        }
+        match (<[u8; 4]>::try_from(&*bytes), <[u8; 8]>::try_from(&*bytes)) {
+            (Ok(single), _) => f64::from(f32::from_le_bytes(single)),
+            (_, Ok(double)) => f64::from_le_bytes(double),
+            _ => f64::NAN,
+        }
+    }
+}
+
+/// What a file says of its numbers.
+struct Header {
+    shape: Vec<usize>,
+    kind: Kind,
+    fortran: bool,
+    /// Bytes in front of the numbers.
+    length: u64,
+}
+
+impl Header {
+    /// Reads it from the front of so many bytes; the error is what was found instead.
+    fn read(reader: &mut impl Read, bytes: u64) -> std::result::Result<Self, String> {
+        let mut take = |count: u64| {
+            let mut part = Vec::new();
+            let read = reader.take(count).read_to_end(&mut part).map_err(|e| e.to_string())?;
+            if read as u64 == count { Ok(part) } else { Err(format!("a file of {bytes} bytes")) }
+        };
+        let start = take(8)?;
+        if start[..6] != *MAGIC {
+            return Err(format!("{:02x?} in front", &start[..6]));
+        }
+        let size = if start[6] == 1 { 2 } else { 4 };
+        let text = take(size)?.iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));
+        let length = 8 + size + text;
+        if text > LONGEST_HEADER || length > bytes {
+            return Err(format!("a header of {text} bytes in a file of {bytes}"));
+        }
+        let text = String::from_utf8(take(text)?).map_err(|_| "a header that is no text")?;
+        let header = Self::parse(&text, length);
+        header.ok_or_else(|| format!("{:?}", text.trim().chars().take(200).collect::<String>()))
+    }
+
+    /// From a text such as `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 7, 2), }`.
+    fn parse(text: &str, length: u64) -> Option<Self> {
+        let text = text.trim().strip_prefix('{')?.strip_suffix('}')?;
+        let value = |key: &str| {
+            let quoted = ['\'', '"'].map(|quote| format!("{quote}{key}{quote}"));
+            let rest = quoted.iter().find_map(|key| text.split_once(key.as_str()))?.1;
+            Some(rest.trim_start().strip_prefix(':')?.trim_start())
+        };
+        let descr = value("descr")?;
+        let quote = descr.chars().next().filter(|c| matches!(c, '\'' | '"'))?;
+        let kind = Kind::of(descr[1..].split(quote).next()?)?;
+        let order = value("fortran_order")?;
+        let fortran = order.starts_with("True");
+        if !fortran && !order.starts_with("False") {
+            return None;
+        }
+        let inside = value("shape")?.strip_prefix('(')?.split_once(')')?.0;
+        let axes = inside.trim().trim_end_matches(',').split(',');
+        let shape = axes.map(|n| n.trim().parse().ok()).collect::<Option<Vec<usize>>>()?;
+        Some(Self { shape, kind, fortran, length })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(version: u8, header: &str, numbers: &[u8]) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([version, 0]);
+        let length = (header.len() as u32).to_le_bytes();
+        bytes.extend(&length[..if version == 1 { 2 } else { 4 }]);
+        bytes.extend(header.as_bytes());
+        bytes.extend(numbers);
+        bytes
+    }
+
+    fn read(bytes: &[u8], rank: usize) -> Result<Array> {
+        Array::read((bytes, bytes.len() as u64), rank, "array")
+    }
+
+    #[test]
+    fn every_version_byte_order_and_precision_is_read() {
+        for version in [1, 2, 3] {
+            for (descr, numbers) in [
+                ("<f8", [1.5_f64, -2.0].map(f64::to_le_bytes).concat()),
+                (">f8", [1.5_f64, -2.0].map(f64::to_be_bytes).concat()),
+                ("<f4", [1.5_f32, -2.0].map(f32::to_le_bytes).concat()),
+                (">f4", [1.5_f32, -2.0].map(f32::to_be_bytes).concat()),
+            ] {
+                let header =
+                    format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (2,), }}   \n");
+                let array = read(&file(version, &header, &numbers), 1).unwrap();
+                assert_eq!((array.shape, array.values), (vec![2], vec![1.5, -2.0]), "{descr}");
+            }
+        }
+    }
+
+    /// A reader that trusts its header asks for four gigabytes, or recurses until the stack ends.
+    #[test]
+    fn a_header_that_claims_too_much_or_nests_too_deep_is_refused() {
+        let mut huge = file(2, "{}", &[]);
+        huge[8..12].fill(0xff);
+        let deep = "(".repeat(60_000);
+        let deep = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {deep}, }}");
+        let many = "{'descr': '<f8', 'fortran_order': False, 'shape': (4294967296, 4294967296), }";
+        for bytes in [huge, file(1, &deep, &[]), file(1, many, &[0; 8])] {
+            let text = read(&bytes, 2).unwrap_err().to_string();
+            assert!(text.contains("numpy.save"), "{text}");
+        }
+    }
+}

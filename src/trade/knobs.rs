@@ -1,0 +1,198 @@
+//! The settings that are tried: the scene with one choice made differently. A new choice is one line in
+//! [`of_flow`], of [`of_gradient`], or of both.
+
+use crate::scene::{KernelName, Learn, Scene};
+use crate::sensitivity::{Coupling, Gradient, Storage};
+use crate::systems::verlet::Step;
+
+/// What a setting does to the results.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Nothing but round-off.
+    None,
+    /// It approximates the same equations less or more closely.
+    Accuracy,
+    /// It solves other equations: what stands there as an error is a difference.
+    Other,
+}
+
+/// One setting: the scene with one choice made differently.
+#[derive(Clone, Debug)]
+pub struct Setting {
+    /// Which choice.
+    pub knob: &'static str,
+    /// How it is made.
+    pub value: String,
+    /// The scene with it.
+    pub scene: Scene,
+    /// What it does to the results.
+    pub effect: Effect,
+}
+
+impl Setting {
+    /// The scene as it is.
+    fn own(scene: &Scene, effect: Effect) -> Self {
+        Self { knob: "as it is", value: String::new(), scene: scene.clone(), effect }
+    }
+
+    /// What a report calls it.
+    pub fn name(&self) -> String {
+        match self.value.as_str() {
+            "" => self.knob.to_owned(),
+            value => format!("{}: {value}", self.knob),
+        }
+    }
+}
+
+/// A choice and what it changes.
+type Knob = (&'static str, Effect);
+
+/// A setting for every value of a choice, named as it is to be shown.
+fn turn<N: ToString, V>(
+    scene: &Scene,
+    (knob, effect): Knob,
+    values: impl IntoIterator<Item = (N, V)>,
+    change: impl Fn(&mut Scene, V),
+) -> Vec<Setting> {
+    let setting = |(name, value): (N, V)| {
+        let mut scene = scene.clone();
+        change(&mut scene, value);
+        Setting { knob, value: name.to_string(), scene, effect }
+    };
+    values.into_iter().map(setting).collect()
+}
+
+/// As [`turn`], of what a scene learns.
+fn teach<N: ToString, V>(
+    scene: &Scene,
+    knob: Knob,
+    values: impl IntoIterator<Item = (N, V)>,
+    change: impl Fn(&mut Learn, V),
+) -> Vec<Setting> {
+    turn(scene, knob, values, |scene, value| {
+        if let Some(learn) = &mut scene.learn {
+            change(learn, value);
+        }
+    })
+}
+
+/// Names numbers by how they print.
+fn shown<V: ToString + Clone>(values: impl IntoIterator<Item = V>) -> Vec<(String, V)> {
+    values.into_iter().map(|value| (value.to_string(), value)).collect()
+}
+
+/// What can be chosen of a flow; the first setting is the scene's own.
+pub(super) fn of_flow(scene: &Scene) -> Vec<Setting> {
+    let mut all = vec![Setting::own(scene, Effect::Accuracy)];
+    let skins = [0.0, 0.1, 0.2, 0.3, 0.5].map(|skin| (format!("{skin} h"), skin));
+    all.extend(turn(scene, ("step", Effect::Accuracy), steps(scene), |s, (step, dt)| {
+        (s.time.step, s.time.dt) = (step, Some(dt));
+    }));
+    all.extend(turn(scene, ("skin", Effect::None), skins, |s, skin| s.time.skin = skin));
+    all.extend(turn(scene, ("kernel", Effect::Other), kernels(scene), |s, (kernel, h)| {
+        s.time.dt = Some(scene.dt());
+        (s.fluid.kernel, s.fluid.smoothing_length) = (kernel, h);
+    }));
+    all
+}
+
+/// What can be chosen of a gradient; the first setting is the scene's own.
+pub(super) fn of_gradient(scene: &Scene) -> Vec<Setting> {
+    let mut all = vec![Setting::own(scene, Effect::None)];
+    let Some(learn) = &scene.learn else { return all };
+    let ways = [Gradient::Forward, Gradient::Adjoint].map(|way| (way.name(), way));
+    all.extend(teach(scene, ("way", Effect::None), ways, |learn, way| learn.gradient = way));
+    all.extend(teach(scene, ("storage", Effect::None), storages(scene), |learn, storage| {
+        (learn.gradient, learn.storage) = (Gradient::Adjoint, storage);
+    }));
+    let local = [("local", Coupling::Local)];
+    all.extend(teach(scene, ("coupling", Effect::Accuracy), local, |learn, coupling| {
+        (learn.gradient, learn.coupling) = (Gradient::Forward, coupling);
+    }));
+    let meshes = meshes(scene, learn).map(|n| (format!("{n} a side"), n));
+    all.extend(teach(scene, ("mesh", Effect::Other), meshes, |learn, n| learn.mesh = Some(n)));
+    let nodes = if learn.loss.kl > 0.0 { shown([50, 100, 400]) } else { Vec::new() };
+    all.extend(teach(scene, ("nodes", Effect::Other), nodes, |learn, n| {
+        learn.increments.nodes = n;
+    }));
+    let frames = [learn.frames / 4, learn.frames / 2].into_iter().filter(|&frames| frames > 0);
+    all.extend(teach(scene, ("frames", Effect::Other), shown(frames), |learn, frames| {
+        learn.frames = frames;
+        learn.windows.retain(|&window| window <= frames);
+        learn.warm_up.iter_mut().for_each(|up| up.windows.retain(|&window| window <= frames));
+    }));
+    let mut model = learn.model.clone();
+    let heights = model.height_mut().map(|height| [height.div_ceil(2), 2 * *height]);
+    let heights = shown(heights.into_iter().flatten());
+    all.extend(teach(scene, ("height", Effect::Other), heights, |learn, height| {
+        learn.model.height_mut().into_iter().for_each(|own| *own = height);
+    }));
+    all
+}
+
+fn steps(scene: &Scene) -> Vec<(String, (Step, f64))> {
+    let lengths = [("dt", 1.0), ("dt/2", 0.5), ("dt/4", 0.25), ("2 dt", 2.0)];
+    let of = |step: Step| {
+        lengths
+            .map(|(name, factor)| (format!("{}, {name}", step.name()), (step, factor * scene.dt())))
+    };
+    Step::ALL.into_iter().flat_map(of).collect()
+}
+
+fn kernels(scene: &Scene) -> Vec<(String, (KernelName, f64))> {
+    let kernels = [KernelName::CubicSpline, KernelName::WendlandC2, KernelName::WendlandC4];
+    let of = |kernel: KernelName| {
+        [1.0, 1.25, 1.5].map(|wider| {
+            let name = format!("{}, {wider} h", kernel.name());
+            (name, (kernel, wider * scene.fluid.smoothing_length))
+        })
+    };
+    let fits = |(_, (_, h)): &(String, (KernelName, f64))| 2.0 * h <= 0.5 * scene.fluid.box_length;
+    kernels.into_iter().flat_map(of).filter(fits).collect()
+}
+
+/// Ways to keep less than everything: few snapshots, or a budget of four kilobytes a particle.
+fn storages(scene: &Scene) -> Vec<(String, Storage)> {
+    let counts = [1, 3, 8]
+        .map(|count| (format!("adjoint, checkpoints = {count}"), Storage::Checkpoints(count)));
+    let budget = 4096 * scene.particles();
+    let bytes = [(format!("adjoint, bytes = {budget}"), Storage::Bytes(budget))];
+    counts.into_iter().chain(bytes).collect()
+}
+
+/// Half and twice the nodes along each axis, where a field is compared.
+fn meshes(scene: &Scene, learn: &Learn) -> impl Iterator<Item = usize> {
+    let own = learn.mesh.unwrap_or(scene.fluid.particles_per_side);
+    let counts = [own.div_ceil(2), 2 * own].into_iter();
+    counts.filter(move |_| learn.loss.field > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_setting_is_a_scene_that_can_be_read() {
+        for shipped in crate::scene::SHIPPED {
+            let scene = Scene::shipped(shipped.name).unwrap();
+            for mut setting in of_flow(&scene).into_iter().chain(of_gradient(&scene)) {
+                // Any optimiser takes any way of finding the gradient but the second-order one.
+                if let Some(learn) = &mut setting.scene.learn {
+                    learn.optimiser = crate::scene::Optimiser::Adam { rate: 0.1, decay: 1.0 };
+                }
+                setting.scene.check(&setting.name()).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn only_networks_have_a_height_to_choose() {
+        let heights = |name: &str| {
+            let settings = of_gradient(&Scene::shipped(name).unwrap());
+            let heights = settings.iter().filter(|setting| setting.knob == "height");
+            heights.map(|setting| setting.value.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(heights("eos-nn-3d"), ["5", "20"]);
+        assert!(heights("inverse-3d").is_empty());
+    }
+}

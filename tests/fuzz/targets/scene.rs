@@ -1,0 +1,9 @@
+//! Any bytes as a scene file.
+
+#![no_main]
+#![allow(dead_code, reason = "each target calls one of the readers")]
+
+#[path = "../../common/untrusted.rs"]
+mod untrusted;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| untrusted::scene(bytes));
