@@ -57,9 +57,9 @@ impl Kernel for CubicSpline {
     #[inline(always)]
     fn curvature<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
-        let q1 = q.max(T::of(1.0));
-        let beyond = outer * (q1 + 2.0) * 0.75 / (q1 * q1 * q1);
-        T::select_less(q, T::of(1.0), T::of(2.25) / q.max(T::smallest(SMALLEST_Q)), beyond)
+        let inside = |yes: T, no: T| T::select_less(q, T::of(1.0), yes, no);
+        let under = inside(q.max(T::smallest(SMALLEST_Q)), q * q * q);
+        inside(T::of(2.25), outer * (q + 2.0) * 0.75) / under
     }
 }
 

@@ -20,9 +20,9 @@ pub struct Packed {
 
 impl Packed {
     /// Fills a neighbour list up to a whole number of lanes: so far away that every kernel is
-    /// exactly zero there, near enough that no square overflows.
+    /// exactly zero there, near enough that no fourth power overflows.
     pub const NOBODY: Self =
-        Self { position: [1e150; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
+        Self { position: [1e50; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
 }
 
 /// A particle as its pairs see it in single precision: half a cache line.

@@ -24,8 +24,10 @@ pub struct Viscosity<T> {
 /// (`tests/conservation.rs`). Continuous but not smooth where `vᵢⱼ·rᵢⱼ = 0`: gradients are one-sided.
 #[inline(always)]
 pub fn monaghan<T: Scalar>(pair: &Pair<T>, h: f64, by: &Viscosity<T>) -> T {
-    let mu = pair.approach.min(T::of(0.0)) * h / (pair.r2 + EPSILON * h * h);
-    (by.beta * mu - by.alpha * by.c) * mu / pair.mean_density()
+    // With μ = a/s multiplied out: one division instead of two.
+    let a = pair.approach.min(T::of(0.0)) * h;
+    let s = pair.r2 + EPSILON * h * h;
+    (by.beta * a - by.alpha * by.c * s) * a / (s * s * pair.mean_density())
 }
 
 /// The gradient of [`monaghan`] by hand: what [`crate::scalar::Dual`] numbers give (a test), at a
@@ -52,15 +54,16 @@ pub fn monaghan_gradient<T: Scalar>(
     by: &Viscosity<T>,
 ) -> ViscosityGradient<T> {
     let zero = T::of(0.0);
-    let softened = T::of(h) / (pair.r2 + EPSILON * h * h);
+    let (s, rho) = (pair.r2 + EPSILON * h * h, pair.mean_density());
+    let both = T::of(1.0) / (s * rho);
+    let (softened, inverse_density) = (both * rho * h, both * s);
     let mu = pair.approach.min(zero) * softened;
-    let inverse_density = T::of(1.0) / pair.mean_density();
     let value = (by.beta * mu - by.alpha * by.c) * mu * inverse_density;
     let by_mu = (by.beta * mu * 2.0 - by.alpha * by.c) * inverse_density;
     let linear = mu * inverse_density;
     ViscosityGradient {
         value,
-        by_r2: -(by_mu * mu * softened) / h,
+        by_r2: by_mu * mu * softened * (-1.0 / h),
         by_approach: T::select_less(pair.approach, zero, by_mu * softened, zero),
         by_density: value * inverse_density * -0.5,
         by: Viscosity { c: -(by.alpha * linear), alpha: -(by.c * linear), beta: mu * linear },

@@ -84,8 +84,11 @@ impl<const D: usize> ListPass<'_, D> {
     fn look_closer(&self, slot: usize, first: usize, mask: u16) -> u16 {
         let place = |slot: usize| Vector::<f64, D>::from_3d(self.packed[slot].position);
         let near = |bit: &usize| {
-            let apart = self.space.minimum_image(place(slot) - place(first + bit));
-            mask >> bit & 1 == 1 && apart.norm_squared() < self.reach.0 * self.reach.0
+            // Outside of the mask there may be nobody.
+            mask >> bit & 1 == 1 && {
+                let apart = self.space.minimum_image(place(slot) - place(first + bit));
+                apart.norm_squared() < self.reach.0 * self.reach.0
+            }
         };
         (0..2 * WIDTH).filter(near).fold(0, |found, bit| found | 1 << bit)
     }

@@ -1,6 +1,6 @@
 //! A flow run backwards: snapshots on the way forward, pullbacks on the way back.
 
-use super::{Flow, State};
+use super::{in_pool, Flow, State};
 use crate::error::Result;
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
@@ -59,7 +59,7 @@ impl<const D: usize> Flow<D> {
         world.resource_scope(|world, mut cloud: Mut<'_, Cloud<D>>| {
             world.resource_mut::<Neighbours<D>>().restore(&snapshot.reference, &mut cloud);
         });
-        backward.prepare.run(world);
+        in_pool(|| backward.prepare.run(world));
     }
 
     /// Whether force evaluations are kept on the tape from now on.
@@ -96,14 +96,16 @@ impl<const D: usize> Flow<D> {
     /// The adjoint of the last step on the tape.
     pub fn retreat(&mut self) {
         if let Some(backward) = &mut self.backward {
-            backward.retreat.run(&mut self.world);
+            let world = &mut self.world;
+            in_pool(|| backward.retreat.run(world));
         }
     }
 
     /// The adjoint of the start: the first force on the tape.
     pub fn back_to_start(&mut self) {
         if let Some(backward) = &mut self.backward {
-            backward.back_to_start.run(&mut self.world);
+            let world = &mut self.world;
+            in_pool(|| backward.back_to_start.run(world));
         }
     }
 

@@ -85,6 +85,12 @@ fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
     Flow::with_law(request)
 }
 
+/// Runs a schedule on a thread of the pool: its parallel loops then begin at once, where each would
+/// otherwise wake a thread of the pool and wait for it.
+fn in_pool(run: impl FnOnce() + Send) {
+    rayon::scope(|_| run());
+}
+
 impl<const D: usize> Flow<D> {
     /// The flow of a scene from its own initial state, or from the end of its spin-up.
     ///
@@ -270,7 +276,8 @@ impl<const D: usize> Flow<D> {
                 Error::input("the systems of this flow", expected, found, remedy)
             })?;
             self.started = true;
-            self.start.run(&mut self.world);
+            let Self { start, world, .. } = self;
+            in_pool(|| start.run(world));
         }
         self.verdict()
     }
@@ -281,7 +288,8 @@ impl<const D: usize> Flow<D> {
     /// [`Error::Diverged`] where the flow can no longer be trusted; every later step repeats it.
     pub fn step(&mut self) -> Result<()> {
         self.start()?;
-        self.advance.run(&mut self.world);
+        let Self { advance, world, .. } = self;
+        in_pool(|| advance.run(world));
         self.verdict()
     }
 

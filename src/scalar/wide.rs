@@ -86,7 +86,8 @@ pub trait Wide: Scalar {
         first: usize,
         limits: [f32; 2],
     ) -> [u16; 2];
-    /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`.
+    /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
+    /// them is anything.
     fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
     /// In which lanes it is less than `limit`, one bit each, the first lane lowest.
     fn less_than(self, limit: f64) -> u8;
@@ -224,8 +225,8 @@ pub(super) fn separation_of<W: Wide, const D: usize>(
     if space.seam { space.space.minimum_image(separation) } else { separation }
 }
 
-/// How far away nobody is, in single precision: no kernel reaches there, and no square overflows.
-pub(super) const FAR: f64 = 1e10;
+/// How far away nobody is, in single precision: no kernel reaches there, and no fourth power overflows.
+pub(super) const FAR: f64 = 1e6;
 
 /// What a distance in fixed point is worth.
 #[inline(always)]

@@ -508,7 +508,13 @@ impl Wide for Lanes512 {
             let count = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
             let numbers = _mm512_add_epi32(_mm512_set1_epi32(first as i32), count);
             let front = _mm512_maskz_compress_epi32(mask, numbers);
-            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+            // Most are few, and half a register seldom lies across two cache lines.
+            if mask.count_ones() <= 8 {
+                let half = _mm512_castsi512_si256(front);
+                _mm256_storeu_si256(kept.as_mut_ptr().cast(), half);
+            } else {
+                _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+            }
         }
     }
     #[inline(always)]

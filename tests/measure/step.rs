@@ -127,15 +127,19 @@ impl Contestant {
         let before = self.flow.world().resource::<Neighbours<3>>().rebuilds;
         let cell = std::cell::RefCell::new(self.flow);
         let evaluate = || {
-            let mut flow = cell.borrow_mut();
-            flow.world_mut().run_system_once(sum_density::<3>).unwrap();
-            flow.world_mut().run_system_once(accelerate::<3>).unwrap();
+            let flow = &mut *cell.borrow_mut();
+            rayon::scope(|_| {
+                flow.world_mut().run_system_once(sum_density::<3>).unwrap();
+                flow.world_mut().run_system_once(accelerate::<3>).unwrap();
+            });
             0
         };
         let search = || {
-            let mut flow = cell.borrow_mut();
-            flow.world_mut().run_system_once(find_neighbours::<3>).unwrap();
-            flow.world_mut().run_system_once(pack_velocities::<true, 3>).unwrap();
+            let flow = &mut *cell.borrow_mut();
+            rayon::scope(|_| {
+                flow.world_mut().run_system_once(find_neighbours::<3>).unwrap();
+                flow.world_mut().run_system_once(pack_velocities::<true, 3>).unwrap();
+            });
             0
         };
         let build = || {
