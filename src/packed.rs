@@ -56,6 +56,14 @@ impl PackedSingle {
         (x * (Self::STEPS / space.length)).round_ties_even() as i64 as i32
     }
 
+    /// Squares of distances, in steps and as singles, below which somebody is surely within `reach`, and
+    /// from which on surely not: singles know such a square to 4e-7, fixed point a distance to `1e-9 L`.
+    pub fn limits(reach: f64, space: PeriodicBox) -> [f32; 2] {
+        let steps = reach * (Self::STEPS / space.length);
+        let doubt = 1e-6 + 1e-8 * space.length / reach;
+        [(steps * steps * (1.0 - doubt)) as f32, (steps * steps * (1.0 + doubt)) as f32]
+    }
+
     /// A particle rounded.
     #[inline(always)]
     pub fn new(particle: &Packed, space: PeriodicBox) -> Self {

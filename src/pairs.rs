@@ -118,24 +118,12 @@ impl Chunk {
         Some(self.start[k] as usize + found)
     }
 
-    /// Appends those of the eight slots from `first` on, below `end`, that are in reach; within what
-    /// [`Self::open`] has made room for.
-    #[inline(always)]
-    pub fn append<W: Wide>(&mut self, r2: W, (first, end): (usize, usize), reach2: f64) {
-        let inside = u8::MAX >> (WIDTH - (end - first).min(WIDTH));
-        let mask = r2.less_than(reach2) & inside;
-        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
-            W::compress(mask, first as u32, kept);
-        }
-        self.filled += mask.count_ones() as usize;
-    }
-
     /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
     /// made room for.
     #[inline(always)]
     pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
         if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
-            W::compress_twice(mask, first as u32, kept);
+            W::compress(mask, first as u32, kept);
         }
         self.filled += mask.count_ones() as usize;
     }

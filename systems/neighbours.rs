@@ -17,6 +17,9 @@ use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::sync::Arc;
 
+/// Fewer particles than this are not worth another thread.
+const FEWEST: usize = 4096;
+
 /// What the lists of one chunk are built from.
 struct ListPass<'a, const D: usize> {
     chunk: &'a mut Chunk,
@@ -36,7 +39,7 @@ impl<const D: usize> Pass for ListPass<'_, D> {
     fn run<W: Wide>(self) {
         let Self { packed, cells, columns, .. } = self;
         let count = packed.len() - 1;
-        let limits = self.limits();
+        let limits = PackedSingle::limits(self.reach.0, self.space);
         self.chunk.clear();
         let (mut around, mut cell) = (Around::NONE, None);
         for slot in self.chunk.first..(self.chunk.first + CHUNK).min(count) {
@@ -70,15 +73,6 @@ impl<const D: usize> Pass for ListPass<'_, D> {
 }
 
 impl<const D: usize> ListPass<'_, D> {
-    /// Squares of distances, in fixed-point steps, below which somebody is surely in reach, and from
-    /// which on surely not: singles know a square to 4e-7, fixed point a distance to `1e-9 L`.
-    fn limits(&self) -> [f32; 2] {
-        let (reach, length) = (self.reach.0, self.space.length);
-        let steps = reach * (PackedSingle::STEPS / length);
-        let doubt = 1e-6 + 1e-8 * length / reach;
-        [(steps * steps * (1.0 - doubt)) as f32, (steps * steps * (1.0 + doubt)) as f32]
-    }
-
     /// Which of the slots in a mask, from `first` on, are in reach, in doubles.
     #[cold]
     fn look_closer(&self, slot: usize, first: usize, mask: u16) -> u16 {
@@ -190,11 +184,12 @@ impl<const D: usize> Neighbours<D> {
 
     fn is_stale(&self) -> bool {
         let limit = 0.25 * self.skin * self.skin;
-        self.reference.len() != self.positions.len()
-            || self.positions.iter().zip(&self.reference).any(|(&now, &then)| {
-                let moved = self.space.minimum_image(now - then).norm_squared();
-                moved.is_nan() || moved >= limit
-            })
+        let moved = |(&now, &then): (&Vector<f64, D>, &Vector<f64, D>)| {
+            let moved = self.space.minimum_image(now - then).norm_squared();
+            moved.is_nan() || moved >= limit
+        };
+        let rows = self.positions.par_iter().zip(&self.reference).with_min_len(FEWEST);
+        self.reference.len() != self.positions.len() || rows.any(moved)
     }
 
     /// Builds the lists if some particle has moved half a skin since they were built, and puts the
@@ -223,9 +218,9 @@ impl<const D: usize> Neighbours<D> {
         for (axis, column) in self.columns.iter_mut().enumerate() {
             column.clear();
             column.reserve_exact(cloud.len() + 2 * WIDTH);
-            let place = |p: &Packed| PackedSingle::fixed_point(p.position[axis], self.space);
-            column.extend(cloud.particles().iter().map(place));
-            column.extend([0; 2 * WIDTH]);
+            column.resize(cloud.len() + 2 * WIDTH, 0);
+            let rows = column.par_iter_mut().zip(cloud.particles()).with_min_len(FEWEST);
+            rows.for_each(|(x, p)| *x = PackedSingle::fixed_point(p.position[axis], self.space));
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::try_unwrap(std::mem::take(&mut self.chunks)).unwrap_or_default();

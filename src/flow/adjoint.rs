@@ -1,6 +1,6 @@
 //! A flow run backwards: snapshots on the way forward, pullbacks on the way back.
 
-use super::{in_pool, Flow, State};
+use super::{Flow, State, in_pool};
 use crate::error::Result;
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;

@@ -4,7 +4,7 @@ use super::mesh::{Mesh, Nearby};
 use super::{SquareSum, StateAdjoint};
 use crate::cells::Cells;
 use crate::kernel::{Kernel, Smoothing};
-use crate::packed::{Packed, PackedSensitivity};
+use crate::packed::{Packed, PackedSensitivity, PackedSingle};
 use crate::pairs::{Chunk, pick};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
@@ -34,8 +34,10 @@ struct Search<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
     /// Particles with their volumes `m/ρ` in place of the stress, and nobody, without a volume.
     lines: Vec<Packed>,
-    /// Coordinates in cell order, with [`WIDTH`] of nobody's behind them.
-    columns: [Vec<f64>; D],
+    /// Fixed-point coordinates in cell order, with two [`WIDTH`] more behind them.
+    columns: [Vec<i32>; D],
+    /// Squares of distances up to which particles may be in reach, see [`PackedSingle::limits`].
+    limits: [f32; 2],
 }
 
 /// Eight particles as a place sees them.
@@ -55,27 +57,33 @@ struct Seen<W, const D: usize> {
 impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     fn new(points: &'a Points<'a, K, D>) -> Self {
         let column = |axis: usize| {
-            let nobody = [Packed::NOBODY.position[axis]; WIDTH];
-            points.packed.iter().map(|p| p.position[axis]).chain(nobody).collect()
+            let place = |p: &Packed| PackedSingle::fixed_point(p.position[axis], points.space);
+            points.packed.iter().map(place).chain([0; 2 * WIDTH]).collect()
         };
         let lines = points.packed.iter().map(|p| Packed { stress: points.mass / p.density, ..*p });
         let lines = lines.chain([Packed::NOBODY]).collect();
-        Self { points, lines, columns: std::array::from_fn(column) }
+        let limits = PackedSingle::limits(points.smoothing.support(), points.space);
+        Self { points, lines, columns: std::array::from_fn(column), limits }
     }
 
     /// The slots of every particle in reach of the place `x`, with nobody's up to whole lanes.
     #[inline(always)]
     fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Chunk) -> &'b [[u32; WIDTH]] {
-        let Points { cells, space, smoothing, .. } = self.points;
-        let reach2 = smoothing.support() * smoothing.support();
+        let Points { cells, space, .. } = self.points;
+        let mut here = [0; D];
+        for axis in 0..D {
+            here[axis] = PackedSingle::fixed_point(x[axis], *space);
+        }
         near.clear();
         let around = cells.around(cells.coordinates(x));
         near.open(around.candidates());
         for range in around.ranges() {
             let end = range.to as usize;
-            for first in (range.from as usize..end).step_by(WIDTH) {
-                let apart = space.minimum_image(apart::<W, D>(&self.columns, x, first));
-                near.append(apart.norm_squared(), (first, end), reach2);
+            for first in (range.from as usize..end).step_by(2 * WIDTH) {
+                let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
+                // Whoever is a hair too far has no weight.
+                let [_, maybe] = W::near(&self.columns, here, first, self.limits);
+                near.append_mask::<W>(maybe & inside, first);
             }
         }
         near.close(self.points.packed.len(), true);
@@ -136,22 +144,6 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         }
         sum_lanes(&sum)
     }
-}
-
-/// Differences of a place and the eight from slot `first` on, without images.
-#[inline(always)]
-fn apart<W: Wide, const D: usize>(
-    columns: &[Vec<f64>; D],
-    here: Vector<f64, D>,
-    first: usize,
-) -> Vector<W, D> {
-    let mut apart = Vector::zero();
-    for axis in 0..D {
-        let mut there = [0.0; WIDTH];
-        there.copy_from_slice(&columns[axis][first..first + WIDTH]);
-        apart[axis] = W::of(here[axis]) - W::load(&Lanes::new(there));
-    }
-    apart
 }
 
 /// The sum over the lanes of every component.

@@ -38,7 +38,7 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         ("version", env!("CARGO_PKG_VERSION").to_owned()),
         ("scene", scene.name.clone()),
         ("model", scene.model().kind().to_owned()),
-        ("precision", "double".to_owned()),
+        ("precision", scene.precision.name().to_owned()),
         ("seed", scene.seed.to_string()),
         ("dt", format!("{:?}", scene.dt())),
     ];

@@ -1,8 +1,6 @@
 //! Eight numbers that move together: the SIMD direction of every hot loop.
 
-use super::wide::{
-    compress_by_table, compress_twice_by_table, near_by_loop, reading_of, separation_of,
-};
+use super::wide::{compress_in_two, near_by_loop, reading_of, separation_of};
 use super::{Scalar, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -265,19 +263,7 @@ impl Wide for Lanes {
         near_by_loop(columns, here, first, limits)
     }
     #[inline(always)]
-    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_twice_by_table(mask, first, kept);
-    }
-    #[inline(always)]
-    fn less_than(self, limit: f64) -> u8 {
-        let mut mask = 0;
-        for (lane, x) in self.0.into_iter().enumerate() {
-            mask |= u8::from(x < limit) << lane;
-        }
-        mask
-    }
-    #[inline(always)]
-    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
-        compress_by_table(mask, first, kept);
+    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_in_two(mask, first, kept);
     }
 }

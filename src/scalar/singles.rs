@@ -1,6 +1,6 @@
 //! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
 
-use super::wide::{FAR, compress_by_table, compress_twice_by_table, near_by_loop, unit};
+use super::wide::{FAR, compress_in_two, near_by_loop, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -196,15 +196,7 @@ impl Wide for Singles {
         near_by_loop(columns, here, first, limits)
     }
     #[inline(always)]
-    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_twice_by_table(mask, first, kept);
-    }
-    #[inline(always)]
-    fn less_than(self, limit: f64) -> u8 {
-        self.widen().less_than(limit)
-    }
-    #[inline(always)]
-    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
-        compress_by_table(mask, first, kept);
+    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_in_two(mask, first, kept);
     }
 }

@@ -88,11 +88,7 @@ pub trait Wide: Scalar {
     ) -> [u16; 2];
     /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
     /// them is anything.
-    fn compress_twice(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
-    /// In which lanes it is less than `limit`, one bit each, the first lane lowest.
-    fn less_than(self, limit: f64) -> u8;
-    /// Writes `first + l` for every lane `l` of a mask, in order, to the front of `kept`.
-    fn compress(mask: u8, first: u32, kept: &mut [u32; WIDTH]);
+    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
 
     /// The sum over the lanes, always paired in the same order.
     #[inline(always)]
@@ -252,9 +248,9 @@ const LANES_OF: [[u8; WIDTH]; 256] = {
     table
 };
 
-/// [`Wide::compress`] by table.
+/// Half of [`Wide::compress`], by table.
 #[inline(always)]
-pub(super) fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
+fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
         *kept = first + u32::from(lane);
     }
@@ -282,9 +278,9 @@ pub(super) fn near_by_loop<const D: usize>(
     masks
 }
 
-/// [`Wide::compress_twice`] by table.
+/// [`Wide::compress`] by table.
 #[inline(always)]
-pub(super) fn compress_twice_by_table(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
     let [low, high] = mask.to_le_bytes();
     let mut half = [0; WIDTH];
     compress_by_table(low, first, &mut half);

@@ -1,7 +1,7 @@
 //! The settings that are tried: the scene with one choice made differently. A new choice is one line in
 //! [`of_flow`], of [`of_gradient`], or of both.
 
-use crate::scene::{KernelName, Learn, Scene};
+use crate::scene::{KernelName, Learn, Precision, Scene};
 use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::systems::verlet::Step;
 
@@ -88,12 +88,18 @@ pub(super) fn of_flow(scene: &Scene) -> Vec<Setting> {
     all.extend(turn(scene, ("step", Effect::Accuracy), steps(scene), |s, (step, dt)| {
         (s.time.step, s.time.dt) = (step, Some(dt));
     }));
+    all.extend(turn(scene, ("precision", Effect::Accuracy), precisions(), |s, p| s.precision = p));
     all.extend(turn(scene, ("skin", Effect::None), skins, |s, skin| s.time.skin = skin));
     all.extend(turn(scene, ("kernel", Effect::Other), kernels(scene), |s, (kernel, h)| {
         s.time.dt = Some(scene.dt());
         (s.fluid.kernel, s.fluid.smoothing_length) = (kernel, h);
     }));
     all
+}
+
+/// In which numbers pairs are evaluated.
+fn precisions() -> [(&'static str, Precision); 2] {
+    Precision::ALL.map(|precision| (precision.name(), precision))
 }
 
 /// What can be chosen of a gradient; the first setting is the scene's own.
@@ -109,6 +115,7 @@ pub(super) fn of_gradient(scene: &Scene) -> Vec<Setting> {
     all.extend(teach(scene, ("coupling", Effect::Accuracy), local, |learn, coupling| {
         (learn.gradient, learn.coupling) = (Gradient::Forward, coupling);
     }));
+    all.extend(turn(scene, ("precision", Effect::Accuracy), precisions(), |s, p| s.precision = p));
     let meshes = meshes(scene, learn).map(|n| (format!("{n} a side"), n));
     all.extend(teach(scene, ("mesh", Effect::Other), meshes, |learn, n| learn.mesh = Some(n)));
     let nodes = if learn.loss.kl > 0.0 { shown([50, 100, 400]) } else { Vec::new() };

@@ -4,17 +4,17 @@
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
 #![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 
-#[path = "common.rs"]
-#[allow(dead_code, reason = "other benchmarks use the rest")]
 mod common;
 
 use bevy_ecs::system::RunSystemOnce;
 use clap::Parser;
-use common::{Run, Took, in_turn};
+use common::{Run, Took, in_turn, median};
 use std::hint::black_box;
 use whirls::models::Medium;
 use whirls::pairs::Pair;
-use whirls::scalar::{Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_in};
+use whirls::scalar::{
+    Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_in, on_every_instruction_set,
+};
 use whirls::space::PeriodicBox;
 use whirls::systems::acceleration::accelerate;
 use whirls::systems::density::sum_density;
@@ -61,6 +61,7 @@ fn main() {
         "3D, kick-drift-kick, {} threads, medians of {} rounds; nanoseconds\n",
         arguments.threads, arguments.rounds
     );
+    print_floors(arguments.rounds);
     println!(
         "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>6} {:>8}",
         "N",
@@ -90,6 +91,41 @@ fn main() {
          pair within 2h\nfloor: the same formulas on operands in registers, per pair; plain: evaluate of a \
          loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs; builds: of lists, a step"
     );
+}
+
+/// What the arithmetic alone takes by every instruction set, in nanoseconds per pair.
+#[derive(Clone)]
+struct TimedFloor<'a> {
+    medium: &'a Medium<3>,
+    rounds: usize,
+}
+
+impl Pass for TimedFloor<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<W: Wide>(self) -> f64 {
+        let clock = std::time::Instant::now();
+        black_box(Floor { medium: self.medium, rounds: self.rounds }.run::<W>());
+        1e9 * clock.elapsed().as_secs_f64() / (self.rounds * WIDTH) as f64
+    }
+}
+
+/// The floor of each instruction set and precision: what mixed precision could give.
+fn print_floors(rounds: usize) {
+    let scene = Scene::open("inverse-3d", &[]).unwrap();
+    let medium = &Medium::<3>::of(&scene, scene.particles());
+    println!("floor by instruction set, per pair");
+    for precision in Precision::ALL {
+        let pass = TimedFloor { medium, rounds: 100_000 };
+        let all: Vec<_> = (0..rounds).map(|_| on_every_instruction_set(precision, &pass)).collect();
+        let sets = (0..all[0].len()).map(|set| {
+            let took = median(all.iter().map(|round| round[set].1));
+            format!("{} {took:.2}", all[0][set].0)
+        });
+        println!("  {:9} {}", precision.name(), sets.collect::<Vec<_>>().join(", "));
+    }
+    println!();
 }
 
 /// A developed flow of some size.

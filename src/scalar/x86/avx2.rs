@@ -1,0 +1,169 @@
+//! Doubles of AVX2.
+#![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
+// SAFETY: see the parent module.
+
+use super::*;
+use crate::scalar::x86::singles::Doubles;
+
+/// Eight doubles in two registers of AVX2.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::scalar) struct Lanes256(pub(super) [__m256d; 2]);
+
+arithmetic!([] Lanes256);
+
+on_registers! { [] Lanes256, Self;
+    plus _mm256_add_pd;
+    minus _mm256_sub_pd;
+    times _mm256_mul_pd;
+    over _mm256_div_pd;
+    xor _mm256_xor_pd;
+    and _mm256_and_pd;
+    or _mm256_or_pd;
+    and_not _mm256_andnot_pd;
+    smaller _mm256_min_pd;
+    larger _mm256_max_pd;
+}
+
+impl Scalar for Lanes256 {
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        Self([unsafe { _mm256_set1_pd(x) }; 2])
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        let [a, b] = self.0;
+        Self(unsafe { [_mm256_sqrt_pd(a), _mm256_sqrt_pd(b)] })
+    }
+    #[inline(always)]
+    fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        let mut chosen = yes.0;
+        for (k, chosen) in chosen.iter_mut().enumerate() {
+            *chosen = unsafe {
+                let less = _mm256_cmp_pd::<_CMP_LT_OQ>(a.0[k], b.0[k]);
+                _mm256_blendv_pd(no.0[k], *chosen, less)
+            };
+        }
+        Self(chosen)
+    }
+    through_memory!(exp, ln, tanh);
+}
+
+impl Lanes256 {
+    /// As [`Lanes512::transpose_halves`].
+    #[inline(always)]
+    fn transpose_halves(rows: [*const f64; WIDTH]) -> [Self; 4] {
+        let [a, b, c, d] = unsafe { four_columns(&rows, 0, 0) };
+        let [e, f, g, h] = unsafe { four_columns(&rows, 4, 0) };
+        [Self([a, e]), Self([b, f]), Self([c, g]), Self([d, h])]
+    }
+
+    /// As [`Lanes512::transpose`].
+    #[inline(always)]
+    fn transpose(lines: [&Packed; WIDTH]) -> [Self; 8] {
+        let rows = lines.map_each(half_of_packed);
+        let mut fields = [Self::of(0.0); 8];
+        for half in 0..2 {
+            let low = unsafe { four_columns(&rows, 0, 4 * half) };
+            let high = unsafe { four_columns(&rows, 4, 4 * half) };
+            for k in 0..4 {
+                fields[4 * half + k] = Self([low[k], high[k]]);
+            }
+        }
+        fields
+    }
+}
+
+/// Four numbers, from the `offset`-th on, of four rows, from the `first` on, transposed.
+#[inline(always)]
+unsafe fn four_columns(rows: &[*const f64; WIDTH], first: usize, offset: usize) -> [__m256d; 4] {
+    unsafe {
+        let row = |k: usize| _mm256_loadu_pd(rows[first + k].add(offset));
+        let (a, b, c, d) = (row(0), row(1), row(2), row(3));
+        let (even, odd) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b));
+        let (even2, odd2) = (_mm256_unpacklo_pd(c, d), _mm256_unpackhi_pd(c, d));
+        [
+            _mm256_permute2f128_pd::<0x20>(even, even2),
+            _mm256_permute2f128_pd::<0x20>(odd, odd2),
+            _mm256_permute2f128_pd::<0x31>(even, even2),
+            _mm256_permute2f128_pd::<0x31>(odd, odd2),
+        ]
+    }
+}
+
+impl Wide for Lanes256 {
+    wide_doubles!();
+
+    #[inline(always)]
+    fn load(memory: &Lanes) -> Self {
+        let memory: *const f64 = std::ptr::from_ref(memory).cast();
+        Self(unsafe { [_mm256_loadu_pd(memory), _mm256_loadu_pd(memory.add(4))] })
+    }
+    #[inline(always)]
+    fn store(self) -> Lanes {
+        let mut lanes = Lanes::ZERO;
+        let memory: *mut f64 = std::ptr::from_mut(&mut lanes).cast();
+        unsafe {
+            _mm256_storeu_pd(memory, self.0[0]);
+            _mm256_storeu_pd(memory.add(4), self.0[1]);
+        }
+        lanes
+    }
+    #[inline(always)]
+    fn power_of_two(shifted: Self) -> Self {
+        unsafe {
+            let bias = _mm256_set1_epi64x(1023 << 52);
+            let power = |x: __m256d| {
+                let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(x));
+                _mm256_castsi256_pd(_mm256_add_epi64(exponent, bias))
+            };
+            Self([power(shifted.0[0]), power(shifted.0[1])])
+        }
+    }
+    #[inline(always)]
+    fn near<const D: usize>(
+        columns: &[Vec<i32>; D],
+        here: [i32; D],
+        first: usize,
+        limits: [f32; 2],
+    ) -> [u16; 2] {
+        let mut masks = [0; 2];
+        for half in 0..2 {
+            unsafe {
+                let mut square = _mm256_setzero_ps();
+                for (column, here) in columns.iter().zip(here) {
+                    let from = first + half * WIDTH;
+                    let there = _mm256_loadu_si256(column[from..from + WIDTH].as_ptr().cast());
+                    let apart = _mm256_sub_epi32(_mm256_set1_epi32(here), there);
+                    let apart = _mm256_cvtepi32_ps(apart);
+                    square = _mm256_add_ps(square, _mm256_mul_ps(apart, apart));
+                }
+                for (mask, limit) in masks.iter_mut().zip(limits) {
+                    let less = _mm256_cmp_ps::<_CMP_LT_OQ>(square, _mm256_set1_ps(limit));
+                    *mask |= (_mm256_movemask_ps(less) as u16) << (half * WIDTH);
+                }
+            }
+        }
+        masks
+    }
+    #[inline(always)]
+    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_in_two(mask, first, kept);
+    }
+}
+
+impl Doubles for Lanes256 {
+    #[inline(always)]
+    fn of_singles(singles: __m256) -> Self {
+        Self(unsafe {
+            let low = _mm256_cvtps_pd(_mm256_castps256_ps128(singles));
+            [low, _mm256_cvtps_pd(_mm256_extractf128_ps::<1>(singles))]
+        })
+    }
+    #[inline(always)]
+    fn to_singles(self) -> __m256 {
+        unsafe {
+            let low = _mm256_castps128_ps256(_mm256_cvtpd_ps(self.0[0]));
+            _mm256_insertf128_ps::<1>(low, _mm256_cvtpd_ps(self.0[1]))
+        }
+    }
+}
