@@ -19,6 +19,7 @@ use whirls::{Flow, Scene};
 
 in_2d_and_3d!(
     a_flow_holds_components_a_packed_line_and_its_neighbours_and_nothing_else,
+    mixed_precision_adds_half_a_cache_line,
     learning_adds_one_block_for_every_eight_parameters,
     stirring_adds_no_memory_and_one_system_to_an_evaluation,
     viscosity_has_neither_a_system_nor_memory_of_its_own,
@@ -172,8 +173,8 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
     all.push(("neighbour lists", "lists".to_owned(), lists(scene).0));
     all.push(("neighbour lists", "cells".to_owned(), [8.0 + share, 8.0 + 2.5 * share]));
-    // By row, now and at the last rebuild, and by cell, with as much again in reserve.
-    all.push(("neighbour lists", "positions".to_owned(), [3.0 * vector, 4.02 * vector]));
+    // By row, now and at the last rebuild, and by cell in fixed point, half as large.
+    all.push(("neighbour lists", "positions".to_owned(), [2.5 * vector, 2.52 * vector]));
     all
 }
 
@@ -406,6 +407,20 @@ fn a_flow_holds_components_a_packed_line_and_its_neighbours_and_nothing_else<con
     assert_eq!(names, ["components", "cloud", "neighbour lists"]);
     let all: f64 = found.iter().map(|(_, bytes)| bytes).sum();
     assert!(all < 700.0, "{all} bytes per particle");
+}
+
+fn mixed_precision_adds_half_a_cache_line<const D: usize>() {
+    let mut scene = common::scene::<D>(if D == 2 { 24 } else { 10 });
+    let held = |scene: &Scene| {
+        let mut flow = Flow::<D>::from_state(scene, &shaken(scene)).unwrap();
+        flow.step().unwrap();
+        let parts = flow.bytes_per_particle();
+        part(&parts, "cloud").unwrap()
+    };
+    let double = held(&scene);
+    scene.precision = whirls::scene::Precision::Mixed;
+    let added = held(&scene) - double;
+    assert!((added - 32.0).abs() < 0.5, "{added}");
 }
 
 fn learning_adds_one_block_for_every_eight_parameters<const D: usize>() {

@@ -1,6 +1,7 @@
 //! What a World holds for its particles: columns of components, and arrays beside them.
 
 use super::Flow;
+use crate::scalar::Precision;
 use crate::systems::Program;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
@@ -171,12 +172,16 @@ impl<const D: usize> Flow<D> {
 
     fn cloud_arrays(&self) -> Arrays {
         let Some(cloud) = self.world.get_resource::<Cloud<D>>() else { return Vec::new() };
-        vec![
+        let mut arrays = vec![
             ("packed", room(&cloud.packed)),
             ("acceleration", room(&cloud.acceleration)),
             ("density", room(&cloud.density)),
             ("slot_of_row", room(&cloud.slot_of_row)),
-        ]
+        ];
+        if cloud.precision == Precision::Mixed {
+            arrays.push(("singles", room(&cloud.singles)));
+        }
+        arrays
     }
 
     fn list_arrays(&self) -> Arrays {

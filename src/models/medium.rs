@@ -47,6 +47,13 @@ impl<const D: usize> Medium<D> {
         }
     }
 
+    /// Whether `Π` vanishes for every pair; its derivatives by `α` and `β` do not.
+    #[inline(always)]
+    fn is_inviscid(&self) -> bool {
+        let [_, alpha, beta, ..] = self.parameters.0;
+        alpha == 0.0 && beta == 0.0
+    }
+
     #[inline(always)]
     fn viscosity<T: Scalar>(&self) -> Viscosity<T> {
         let [c, alpha, beta, ..] = self.parameters.0;
@@ -56,8 +63,11 @@ impl<const D: usize> Medium<D> {
     /// `s = −m (X + Πᵢⱼ) G(r)` for a pair whose stresses sum to `X`: the law of Eq. (7) in one line.
     #[inline(always)]
     pub fn strength<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> T {
-        let viscous = monaghan(pair, self.smoothing.h, &self.viscosity());
-        (stresses + viscous) * self.smoothing.gradient(pair.r2.sqrt()) * -self.mass
+        let pull = self.smoothing.gradient(pair.r2.sqrt());
+        if self.is_inviscid() {
+            return stresses * pull * -self.mass;
+        }
+        (stresses + monaghan(pair, self.smoothing.h, &self.viscosity())) * pull * -self.mass
     }
 
     /// [`Medium::strength`] with its derivatives, by hand.

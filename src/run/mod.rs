@@ -93,8 +93,9 @@ pub fn record_now<const D: usize>(
     flow: &mut Flow<D>,
 ) -> Result<()> {
     let (state, densities) = (flow.state(), flow.densities());
+    let kept = statistics::conservation_of(flow, &state, &densities);
     recorder.frame(topic, frame(flow.steps(), &state, &densities))?;
-    recorder.conservation(statistics::conservation(flow))
+    recorder.conservation(kept)
 }
 
 /// Runs a flow for `steps`, records every `every`-th state on one topic, and calls `after` behind

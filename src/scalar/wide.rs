@@ -37,7 +37,7 @@ impl Precision {
 /// at. Memory holds them as [`Lanes`].
 ///
 /// No operation is fused or reordered, so that every implementation in doubles gives the bits of
-/// [`Lanes`], the plain one (`tests/kernels.rs`).
+/// [`Lanes`], the plain one (`tests/precision.rs`).
 pub trait Wide: Scalar {
     /// Doubles of the same instruction set.
     type Double: Wide<Double = Self::Double>;

@@ -10,16 +10,17 @@ pub use increments::Moments;
 pub use spectrum::energy_spectrum;
 pub use structure::{Structure, structure_functions};
 
-use crate::flow::Flow;
+use crate::flow::{Flow, State};
 use crate::models::{Parameter, Parameters};
 use crate::recording::Conservation;
 use crate::state::{internal_energy, tait};
 use crate::systems::acceleration::{Law, model_accelerations};
 use crate::systems::forcing::external_forces;
-use crate::systems::neighbours::Neighbours;
+use crate::systems::neighbours::{CHUNK, Neighbours};
 use crate::systems::particles::{Cloud, Rooms};
 use crate::vector::Vector;
 use bevy_ecs::prelude::World;
+use rayon::prelude::*;
 
 /// `Σ m a` over all particles, per system: zero to round-off where the system conserves momentum.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -97,11 +98,22 @@ pub fn pressure_error<const D: usize>(
 /// Everything that `/diag/conservation` records of a flow as it stands.
 pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
     let (state, densities) = (flow.state(), flow.densities());
+    conservation_of(flow, &state, &densities)
+}
+
+/// The same of a flow whose state and densities are at hand.
+pub(crate) fn conservation_of<const D: usize>(
+    flow: &Flow<D>,
+    state: &State<D>,
+    densities: &[f64],
+) -> Conservation {
     let parameters = flow.parameters();
     let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
     let mass = flow.mass();
     let kinetic: f64 = state.velocities.iter().map(|v| 0.5 * mass * v.norm_squared()).sum();
-    let internal: f64 = densities.iter().map(|&rho| mass * internal_energy(rho, c, gamma)).sum();
+    let energy = |part: &[f64]| part.iter().map(|&rho| internal_energy(rho, c, gamma)).sum();
+    let parts: Vec<f64> = densities.par_chunks(CHUNK).map(energy).collect();
+    let internal = mass * parts.iter().sum::<f64>();
     let fastest = state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
     let deviation = densities.iter().map(|rho| (rho - 1.0).abs()).fold(0.0, f64::max);
     let rates = flow.momentum_rates();
