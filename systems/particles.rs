@@ -118,10 +118,6 @@ impl<const D: usize> Cloud<D> {
     pub fn resize(&mut self, count: usize) {
         self.packed.clear();
         self.packed.resize(count + 1, Packed::NOBODY);
-        if self.precision == Precision::Mixed {
-            self.singles.clear();
-            self.singles.resize(count + 1, PackedSingle::NOBODY);
-        }
         self.acceleration.resize(count, Vector::zero());
         self.density.resize(count, 0.0);
         self.slot_of_row.resize(count, 0);
@@ -130,11 +126,11 @@ impl<const D: usize> Cloud<D> {
     /// Rounds the lines for the pairs of mixed precision; nothing to do in doubles.
     pub fn round(&mut self, space: PeriodicBox) {
         if self.precision == Precision::Mixed {
-            let count = self.len();
-            self.singles.resize(count + 1, PackedSingle::NOBODY);
-            for (single, line) in self.singles.iter_mut().zip(&self.packed[..count]) {
-                *single = PackedSingle::new(line, space);
-            }
+            let particles = &self.packed[..self.slot_of_row.len()];
+            self.singles.clear();
+            self.singles.reserve_exact(particles.len() + 1);
+            self.singles.extend(particles.iter().map(|line| PackedSingle::new(line, space)));
+            self.singles.push(PackedSingle::NOBODY);
         }
     }
 
