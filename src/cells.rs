@@ -1,18 +1,25 @@
 //! A cell list: who is near a place, at a cost linear in the number of particles.
 
+use crate::packed::PackedSingle;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
+use rayon::prelude::*;
+
+/// Fewer particles than this are not worth another thread.
+pub(crate) const FEWEST: usize = 4096;
 
 /// A cell list: particles sorted by the cell they are in.
+///
+/// A particle's cell follows from its coordinates as fixed-point numbers ([`PackedSingle`]), so that the
+/// cell of a place is known without its doubles.
 #[derive(Clone, Debug, Default)]
 pub struct Cells<const D: usize> {
     /// Cells along each axis.
     per_axis: usize,
-    inverse_width: f64,
+    /// Side of the box.
+    length: f64,
     /// First slot of each cell, one more at the end.
     start: Vec<u32>,
-    /// Cell of each row, and then row of each slot.
-    cell_of_row: Vec<u32>,
     /// Row of each slot.
     pub row_of_slot: Vec<u32>,
 }
@@ -20,44 +27,84 @@ pub struct Cells<const D: usize> {
 impl<const D: usize> Cells<D> {
     /// Sorts particles into cells at least `reach` wide. Stable: equal positions, equal order.
     pub fn sort(&mut self, positions: &[Vector<f64, D>], space: PeriodicBox, reach: f64) {
-        // More than a cell per particle along an axis would only cost memory.
-        let most = (positions.len() as f64).powf(1.0 / D as f64).ceil().max(1.0);
-        let per_axis = (space.length / reach).floor().clamp(1.0, most);
-        self.per_axis = per_axis as usize;
-        self.inverse_width = per_axis / space.length;
-        self.cell_of_row.clear();
-        for &position in positions {
-            let cell = self.index(self.coordinates(position));
-            self.cell_of_row.push(cell as u32);
-        }
-        self.count();
+        let mut slots = vec![0; positions.len()];
+        self.sort_by(|row| positions[row], space, reach, &mut slots);
     }
 
-    /// Counting sort by cell.
-    fn count(&mut self) {
+    /// As [`Self::sort`], of as many particles as there are `slots`, whose slots go there, row by row.
+    pub fn sort_by(
+        &mut self,
+        position: impl Fn(usize) -> Vector<f64, D> + Sync,
+        space: PeriodicBox,
+        reach: f64,
+        slots: &mut [u32],
+    ) {
+        // More than a cell per particle along an axis would only cost memory.
+        let most = (slots.len() as f64).powf(1.0 / D as f64).ceil().max(1.0);
+        // Rounded coordinates may be a step farther apart than the particles.
+        let width = reach + 4.0 * space.length / PackedSingle::STEPS;
+        self.per_axis = (space.length / width).floor().clamp(1.0, most) as usize;
+        self.length = space.length;
+        let cells = slots.par_iter_mut().with_min_len(FEWEST).enumerate();
+        cells.for_each(|(row, cell)| *cell = self.index(self.coordinates(position(row))) as u32);
+        self.count(slots);
+    }
+
+    /// Counting sort by cell: each row's cell becomes its slot.
+    fn count(&mut self, slots: &mut [u32]) {
         self.start.clear();
         self.start.resize(self.per_axis.pow(D as u32) + 1, 0);
-        for &cell in &self.cell_of_row {
+        for &cell in &*slots {
             self.start[cell as usize + 1] += 1;
         }
         for cell in 1..self.start.len() {
             self.start[cell] += self.start[cell - 1];
         }
-        self.row_of_slot.resize(self.cell_of_row.len(), 0);
-        for (row, &cell) in self.cell_of_row.iter().enumerate().rev() {
+        self.row_of_slot.resize(slots.len(), 0);
+        for (row, cell) in slots.iter_mut().enumerate().rev() {
             // Filling from the back turns each count's end into its start, and keeps the order.
-            let slot = &mut self.start[cell as usize + 1];
+            let slot = &mut self.start[*cell as usize + 1];
             *slot -= 1;
             self.row_of_slot[*slot as usize] = row as u32;
+            *cell = *slot;
         }
         self.start.remove(0);
-        self.start.push(self.cell_of_row.len() as u32);
+        self.start.push(slots.len() as u32);
     }
 
     /// Cell coordinates of a position inside the box.
     #[inline(always)]
     pub fn coordinates(&self, position: Vector<f64, D>) -> [usize; D] {
-        position.0.map(|x| ((x * self.inverse_width) as usize).min(self.per_axis - 1))
+        let space = PeriodicBox { length: self.length };
+        self.coordinates_of(position.0.map(|x| PackedSingle::fixed_point(x, space)))
+    }
+
+    /// Cell coordinates of a place given by fixed-point coordinates.
+    #[inline(always)]
+    pub fn coordinates_of(&self, place: [i32; D]) -> [usize; D] {
+        let mut coordinates = [0; D];
+        for (coordinate, x) in coordinates.iter_mut().zip(place) {
+            *coordinate = ((x as u32 as u64 * self.per_axis as u64) >> 32) as usize;
+        }
+        coordinates
+    }
+
+    /// The middle of a cell, and half its width, in fixed-point steps.
+    #[inline(always)]
+    pub fn middle(&self, coordinates: [usize; D]) -> ([i32; D], f32) {
+        let width = PackedSingle::STEPS / self.per_axis as f64;
+        let mut middle = [0; D];
+        for (middle, c) in middle.iter_mut().zip(coordinates) {
+            *middle = ((c as f64 + 0.5) * width) as u32 as i32;
+        }
+        // Two steps for what was rounded.
+        (middle, (0.5 * width + 2.0) as f32)
+    }
+
+    /// One behind the last slot of the cell at `coordinates`.
+    #[inline(always)]
+    pub fn end(&self, coordinates: [usize; D]) -> usize {
+        self.start[self.index(coordinates) + 1] as usize
     }
 
     #[inline(always)]
@@ -118,7 +165,7 @@ impl<const D: usize> Cells<D> {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * (self.start.capacity() + self.cell_of_row.capacity() + self.row_of_slot.capacity())
+        4 * (self.start.capacity() + self.row_of_slot.capacity())
     }
 }
 

@@ -1,5 +1,6 @@
 //! What stirs the flow, appendix A.3: deterministic energy injection and stochastic large-scale modes.
 
+use crate::cells::FEWEST;
 use crate::scalar::Lanes;
 use crate::vector::Vector;
 use rand::{RngExt, SeedableRng};
@@ -38,25 +39,24 @@ pub struct EnergyInjection {
 }
 
 impl EnergyInjection {
-    /// The law for a flow of these velocities, `[x, y, z]` each.
-    pub fn new(
+    /// The law for a flow of particles with these velocities, `[x, y, z]` each.
+    pub fn new<T: Sync>(
         theta: f64,
         power: Power,
-        velocities: impl Iterator<Item = [f64; 3]> + Clone,
+        particles: &[T],
+        velocity: impl Fn(&T) -> [f64; 3] + Sync,
     ) -> Self {
-        let count = velocities.clone().count().max(1) as f64;
-        let mut mean = [0.0; 3];
-        for v in velocities.clone() {
-            (0..3).for_each(|axis| mean[axis] += v[axis]);
-        }
-        let mean = mean.map(|sum| sum / count);
+        let count = particles.len().max(1) as f64;
+        let mean = sum_over(particles, &velocity).map(|sum| sum / count);
         let (origin, share) = match power {
             Power::Paper => ([0.0; 3], 0.5),
             Power::Exact => (mean, 1.0),
         };
-        let square =
-            |v: [f64; 3]| (0..3).map(|a| (v[a] - origin[a]) * (v[a] - origin[a])).sum::<f64>();
-        let energy = share * velocities.map(square).sum::<f64>() / count;
+        let squares = sum_over(particles, &|particle| {
+            let v = velocity(particle);
+            std::array::from_fn(|a| (v[a] - origin[a]) * (v[a] - origin[a]))
+        });
+        let energy = share * squares.iter().sum::<f64>() / count;
         let rate = if energy > 0.0 { theta / energy } else { 0.0 };
         Self { mean, origin, energy, share, rate, theta }
     }
@@ -119,6 +119,24 @@ impl EnergyInjection {
         }
         work
     }
+}
+
+/// Sums three numbers over particles: halves of fixed size, so that the bits are those of any number of
+/// threads.
+fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
+    let [mut a, b] = if particles.len() <= FEWEST {
+        let mut sum = [0.0; 3];
+        for particle in particles {
+            let part = of(particle);
+            (0..3).for_each(|axis| sum[axis] += part[axis]);
+        }
+        return sum;
+    } else {
+        let (left, right) = particles.split_at(particles.len() / 2);
+        rayon::join(|| sum_over(left, of), || sum_over(right, of)).into()
+    };
+    (0..3).for_each(|axis| a[axis] += b[axis]);
+    a
 }
 
 /// The rank-one couplings of [`EnergyInjection`]: `δv̄` and `δ(θ/E)`.
@@ -229,7 +247,7 @@ mod tests {
     fn exact_power_is_theta_and_the_papers_is_twice_theta_without_mean_flow() {
         let velocities = [[1.0, 0.5, 0.0], [-1.0, 0.25, 0.0], [0.0, -0.75, 0.0]];
         for (power, expected) in [(Power::Exact, 0.3), (Power::Paper, 0.6)] {
-            let law = EnergyInjection::new(0.3, power, velocities.into_iter());
+            let law = EnergyInjection::new(0.3, power, &velocities, |v| *v);
             let work = |v: [f64; 3]| law.force::<3>(v).dot(Vector(v));
             let power: f64 = velocities.into_iter().map(work).sum::<f64>() / 3.0;
             assert!((power - expected).abs() < 1e-15);
@@ -238,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_flow_at_rest_is_not_forced() {
-        let law = EnergyInjection::new(0.3, Power::Paper, [[0.0; 3]; 4].into_iter());
+        let law = EnergyInjection::new(0.3, Power::Paper, &[[0.0; 3]; 4], |v| *v);
         assert_eq!(law.force::<3>([0.0; 3]), Vector([0.0; 3]));
     }
 }

@@ -53,7 +53,9 @@ impl PackedSingle {
     /// A coordinate in steps: modulo 2³², as the box is modulo `L`.
     #[inline(always)]
     pub fn fixed_point(x: f64, space: PeriodicBox) -> i32 {
-        (x * (Self::STEPS / space.length)).round_ties_even() as i64 as i32
+        // In the sum a whole number fills the low bits: rounded to the nearest even one by the addition.
+        const SHIFT: f64 = 6_755_399_441_055_744.0;
+        (x * (Self::STEPS / space.length) + SHIFT).to_bits() as i32
     }
 
     /// Squares of distances, in steps and as singles, below which somebody is surely within `reach`, and

@@ -8,6 +8,12 @@ use crate::vector::Vector;
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
 pub const CHUNK: usize = 256;
 
+/// Lines of so many bytes in all are in the cache when they are needed.
+const FITS_CACHE: usize = 4 << 20;
+
+/// Whose neighbours' lines are asked for while a particle meets its own: so many slots ahead.
+pub const AHEAD: usize = 4;
+
 /// The neighbours of [`CHUNK`] consecutive slots.
 #[derive(Clone, Debug, Default)]
 pub struct Chunk {
@@ -118,6 +124,38 @@ impl Chunk {
         Some(self.start[k] as usize + found)
     }
 
+    /// Becomes a copy of other lists, with room for a sixteenth more, so that it seldom grows.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.first = other.first;
+        self.filled = other.filled;
+        copy(&mut self.start, &other.start);
+        copy(&mut self.seam, &other.seam);
+        copy(&mut self.index, &other.index[..other.filled]);
+    }
+
+    /// Appends those of sixteen slots that are in a mask, `own` left out; within what [`Self::open`] has
+    /// made room for.
+    #[inline(always)]
+    pub fn append_others<W: Wide>(&mut self, mask: u16, slots: &[u32; 2 * WIDTH], own: u32) {
+        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
+            self.filled += W::keep_others(mask, slots, own, kept);
+        }
+    }
+
+    /// Asks for the lines of the neighbours of the chunk's `k`-th slot, if it has one, where all lines do
+    /// not fit the cache.
+    #[inline(always)]
+    pub fn fetch_ahead<W: Wide>(&self, k: usize, lines: &[W::Line]) {
+        if size_of_val(lines) <= FITS_CACHE || k >= self.len() {
+            return;
+        }
+        for &slot in self.neighbours(k).as_flattened() {
+            if let Some(line) = lines.get(slot as usize) {
+                W::fetch(line);
+            }
+        }
+    }
+
     /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
     /// made room for.
     #[inline(always)]
@@ -127,6 +165,15 @@ impl Chunk {
         }
         self.filled += mask.count_ones() as usize;
     }
+}
+
+/// Replaces the content of a vector, with a sixteenth of room where it must grow.
+fn copy<T: Copy>(into: &mut Vec<T>, from: &[T]) {
+    into.clear();
+    if into.capacity() < from.len() {
+        into.reserve_exact(from.len() + from.len() / 16);
+    }
+    into.extend_from_slice(from);
 }
 
 /// All particles in cell order, as their pairs see them, nobody behind the last.

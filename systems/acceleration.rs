@@ -4,6 +4,7 @@ use super::neighbours::Neighbours;
 use super::particles::{
     Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud,
 };
+use crate::cells::FEWEST;
 use crate::models::{Columns, Model, PairShare, Passed};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{CHUNK, Chunk, Hood, Lines};
@@ -46,11 +47,13 @@ pub fn write_acceleration<const D: usize>(
     mut accelerations: Query<&mut Acceleration<D>>,
     cloud: Res<Cloud<D>>,
 ) {
-    let mut slots = cloud.slot_of_row.iter();
-    for column in accelerations.contiguous_iter_mut().into_iter().flatten() {
-        for (acceleration, &slot) in column.into_iter().zip(&mut slots) {
+    let mut slots = &cloud.slot_of_row[..];
+    for mut column in accelerations.contiguous_iter_mut().into_iter().flatten() {
+        let own = slots.split_off(..column.len()).unwrap_or_default();
+        let rows = column.par_iter_mut().zip(own).with_min_len(FEWEST);
+        rows.for_each(|(acceleration, &slot)| {
             acceleration.0 = cloud.acceleration[slot as usize];
-        }
+        });
     }
 }
 

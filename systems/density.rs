@@ -3,9 +3,10 @@
 use super::acceleration::Law;
 use super::neighbours::Neighbours;
 use super::particles::{AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud};
+use crate::cells::FEWEST;
 use crate::models::{Change, Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
-use crate::pairs::{CHUNK, Hood, Lines, adjoints, separation};
+use crate::pairs::{AHEAD, CHUNK, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -27,7 +28,9 @@ impl<const D: usize> Pass for DensityPass<'_, D> {
         let Hood { lines, chunk, space } = self.hood;
         let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
+        let all = W::lines(lines);
         for (k, density) in self.density.iter_mut().enumerate() {
+            chunk.fetch_ahead::<W>(k + AHEAD, all);
             let mut sum = W::Double::of(0.0);
             let space = chunk.around(k, space);
             for slots in chunk.neighbours(k) {
@@ -60,9 +63,10 @@ pub fn sum_density<const D: usize>(
             rooms.enter(law.0.network(), |room| find_stress(&*law.0, lines, room));
         }
     });
-    for (single, line) in singles.iter_mut().zip(&packed[..count]) {
+    let lines = singles.par_iter_mut().zip(&packed[..count]).with_min_len(FEWEST);
+    lines.for_each(|(single, line)| {
         (single.density, single.stress) = (line.density as f32, line.stress as f32);
-    }
+    });
 }
 
 /// Densities of up to eight particles, one where there is none.
@@ -87,11 +91,11 @@ fn find_stress<const D: usize>(model: &dyn Model<D>, lines: &mut [Packed], room:
 
 /// System: writes the densities back to the particles.
 pub fn write_density<const D: usize>(mut densities: Query<&mut Density>, cloud: Res<Cloud<D>>) {
-    let mut slots = cloud.slot_of_row.iter();
-    for column in densities.contiguous_iter_mut().into_iter().flatten() {
-        for (density, &slot) in column.into_iter().zip(&mut slots) {
-            density.0 = cloud.density[slot as usize];
-        }
+    let mut slots = &cloud.slot_of_row[..];
+    for mut column in densities.contiguous_iter_mut().into_iter().flatten() {
+        let own = slots.split_off(..column.len()).unwrap_or_default();
+        let rows = column.par_iter_mut().zip(own).with_min_len(FEWEST);
+        rows.for_each(|(density, &slot)| density.0 = cloud.density[slot as usize]);
     }
 }
 

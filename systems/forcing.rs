@@ -4,6 +4,7 @@ use super::acceleration::Law;
 use super::neighbours::CHUNK;
 use super::particles::{AdjointCloud, Cloud, SensitivityCloud};
 use super::verlet::{Clock, Integrator};
+use crate::cells::FEWEST;
 use crate::forcing::{EnergyInjection, Mode, Power, stochastic_modes};
 use crate::models::Parameter;
 use crate::scalar::Lanes;
@@ -27,8 +28,8 @@ impl DeterministicForcing {
 
     /// The law for the velocities that a cloud now holds.
     fn now<const D: usize>(&self, cloud: &Cloud<D>) -> Option<EnergyInjection> {
-        let velocities = cloud.particles().iter().map(|p| p.velocity);
-        self.law.map(|law| EnergyInjection::new(law.theta, self.power, velocities))
+        let particles = cloud.particles();
+        self.law.map(|law| EnergyInjection::new(law.theta, self.power, particles, |p| p.velocity))
     }
 }
 
@@ -52,12 +53,11 @@ pub fn force_deterministically<const D: usize>(
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let theta = law.0.parameters().get(Parameter::Theta);
-    let velocities = cloud.particles().iter().map(|p| p.velocity);
-    let injection = EnergyInjection::new(theta, forcing.power, velocities);
+    let particles = cloud.particles();
+    let injection = EnergyInjection::new(theta, forcing.power, particles, |p| p.velocity);
     let Cloud { packed, acceleration, .. } = &mut *cloud;
-    for (a, p) in acceleration.iter_mut().zip(packed) {
-        *a += injection.force(p.velocity);
-    }
+    let lines = acceleration.par_iter_mut().zip(packed).with_min_len(FEWEST);
+    lines.for_each(|(a, p)| *a += injection.force(p.velocity));
     forcing.law = Some(injection);
 }
 

@@ -5,82 +5,153 @@
 //! lists hold directed pairs in a fixed order, so that every sum has the same bits for any number of
 //! threads. The skin buys speed only: pairs between `2h` and `2h + skin` contribute exact zeros.
 
-use super::particles::{Acceleration, Cloud, Position, Velocity};
+use super::particles::{Acceleration, Cloud, Position, Velocity, whole_column};
 use super::verlet::Integrator;
-use crate::cells::{Around, Cells};
-use crate::packed::{Packed, PackedSingle};
+use crate::cells::{Cells, FEWEST};
+use crate::packed::PackedSingle;
 pub use crate::pairs::{CHUNK, Chunk};
 use crate::scalar::{Pass, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// Fewer particles than this are not worth another thread.
-const FEWEST: usize = 4096;
+/// What a thread needs while it builds the lists of a chunk, used again for the next.
+#[derive(Clone, Debug)]
+struct Workbench<const D: usize> {
+    /// Fixed-point coordinates of everyone who may be near somebody of one cell, with two [`WIDTH`] more.
+    columns: [Vec<i32>; D],
+    /// Their slots.
+    slots: Vec<u32>,
+    /// How many they are.
+    count: usize,
+    /// The lists, before they are copied to where they stay.
+    lists: Chunk,
+}
+
+impl<const D: usize> Default for Workbench<D> {
+    fn default() -> Self {
+        Self {
+            columns: std::array::from_fn(|_| Vec::new()),
+            slots: Vec::new(),
+            count: 0,
+            lists: Chunk::default(),
+        }
+    }
+}
+
+impl<const D: usize> Workbench<D> {
+    /// Nobody, with room for so many.
+    #[inline(always)]
+    fn clear(&mut self, candidates: usize) {
+        self.count = 0;
+        let room = candidates + 4 * WIDTH;
+        if self.slots.len() < room {
+            self.slots.resize(room, 0);
+            self.columns.iter_mut().for_each(|column| column.resize(room, 0));
+        }
+    }
+}
 
 /// What the lists of one chunk are built from.
 struct ListPass<'a, const D: usize> {
-    chunk: &'a mut Chunk,
+    /// The first slot.
+    first: usize,
     /// Fixed-point coordinates in cell order, axis by axis, with two [`WIDTH`] more behind them.
     columns: &'a [Vec<i32>; D],
-    packed: &'a [Packed],
+    /// Coordinates by slot.
+    position: &'a dyn Fn(usize) -> Vector<f64, D>,
     cells: &'a Cells<D>,
     space: PeriodicBox,
     /// How far the lists reach, and how much of it is skin.
     reach: (f64, f64),
 }
 
-impl<const D: usize> Pass for ListPass<'_, D> {
+impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>) {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { packed, cells, columns, .. } = self;
-        let count = packed.len() - 1;
-        let limits = PackedSingle::limits(self.reach.0, self.space);
-        self.chunk.clear();
-        let (mut around, mut cell) = (Around::NONE, None);
-        for slot in self.chunk.first..(self.chunk.first + CHUNK).min(count) {
-            // Particles of one cell follow each other.
-            let coordinates = cells.coordinates(Vector::from_3d(packed[slot].position));
-            if cell != Some(coordinates) {
-                (around, cell) = (cells.around(coordinates), Some(coordinates));
+        let (pass, bench) = self;
+        let count = pass.columns[0].len() - 2 * WIDTH;
+        let limits = PackedSingle::limits(pass.reach.0, pass.space);
+        let end = (pass.first + CHUNK).min(count);
+        bench.lists.clear();
+        bench.lists.first = pass.first;
+        let mut slot = pass.first;
+        while slot < end {
+            // Particles of one cell follow each other, and look into the same cells.
+            let cell = pass.cells.coordinates_of(pass.place(slot));
+            pass.gather::<W>(cell, limits[1], bench);
+            let until = pass.cells.end(cell).min(end);
+            while slot < until {
+                pass.list::<W>(slot, limits, bench);
+                bench.lists.close(count, pass.is_near_seam(slot));
+                slot += 1;
             }
-            let mut here = [0; D];
-            for (here, column) in here.iter_mut().zip(columns) {
-                *here = column[slot];
-            }
-            self.chunk.open(around.candidates());
-            for range in around.ranges() {
-                let end = range.to as usize;
-                for first in (range.from as usize..end).step_by(2 * WIDTH) {
-                    let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
-                    let [mut near, maybe] = W::near(columns, here, first, limits);
-                    if near != maybe {
-                        near |= self.look_closer(slot, first, maybe & inside & !near);
-                    }
-                    let own = slot.wrapping_sub(first);
-                    let own = if own < 2 * WIDTH { 1 << own } else { 0 };
-                    self.chunk.append_mask::<W>(near & inside & !own, first);
-                }
-            }
-            self.chunk.close(count, self.is_near_seam(slot));
         }
-        self.chunk.finish();
     }
 }
 
 impl<const D: usize> ListPass<'_, D> {
-    /// Which of the slots in a mask, from `first` on, are in reach, in doubles.
+    /// Fixed-point coordinates of a slot.
+    #[inline(always)]
+    fn place(&self, slot: usize) -> [i32; D] {
+        let mut place = [0; D];
+        for (place, column) in place.iter_mut().zip(self.columns) {
+            *place = column[slot];
+        }
+        place
+    }
+
+    /// Finds everyone within a distance of a cell; `limit` is on its square, in fixed-point steps.
+    #[inline(always)]
+    fn gather<W: Wide>(&self, cell: [usize; D], limit: f32, bench: &mut Workbench<D>) {
+        let (around, middle) = (self.cells.around(cell), self.cells.middle(cell));
+        // Singles know the distance from the box to a few parts in ten million.
+        let limit = limit * (1.0 + 1e-5);
+        bench.clear(around.candidates());
+        for range in around.ranges() {
+            let end = range.to as usize;
+            for first in (range.from as usize..end).step_by(2 * WIDTH) {
+                let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
+                let mask = W::near_box(self.columns, middle, first, limit) & inside;
+                let Workbench { columns, slots, count, .. } = &mut *bench;
+                W::keep_places(mask, self.columns, first, columns, *count);
+                if let Some(slots) = slots[*count..].first_chunk_mut() {
+                    W::compress(mask, first as u32, slots);
+                }
+                *count += mask.count_ones() as usize;
+            }
+        }
+    }
+
+    /// The list of one slot from the candidates of its cell.
+    #[inline(always)]
+    fn list<W: Wide>(&self, slot: usize, limits: [f32; 2], bench: &mut Workbench<D>) {
+        let here = self.place(slot);
+        let Workbench { columns, slots, count, lists } = bench;
+        lists.open(*count);
+        for first in (0..*count).step_by(2 * WIDTH) {
+            let inside = u16::MAX >> (2 * WIDTH - (*count - first).min(2 * WIDTH));
+            let [mut near, maybe] = W::near(columns, here, first, limits);
+            let Some(others) = slots[first..].first_chunk() else { break };
+            if near != maybe {
+                near |= self.look_closer(slot, others, maybe & inside & !near);
+            }
+            lists.append_others::<W>(near & inside, others, slot as u32);
+        }
+    }
+
+    /// Which of sixteen slots that are in a mask are in reach, in doubles.
     #[cold]
-    fn look_closer(&self, slot: usize, first: usize, mask: u16) -> u16 {
-        let place = |slot: usize| Vector::<f64, D>::from_3d(self.packed[slot].position);
+    fn look_closer(&self, slot: usize, others: &[u32; 2 * WIDTH], mask: u16) -> u16 {
         let near = |bit: &usize| {
             // Outside of the mask there may be nobody.
             mask >> bit & 1 == 1 && {
-                let apart = self.space.minimum_image(place(slot) - place(first + bit));
+                let there = (self.position)(others[*bit] as usize);
+                let apart = self.space.minimum_image((self.position)(slot) - there);
                 apart.norm_squared() < self.reach.0 * self.reach.0
             }
         };
@@ -92,18 +163,18 @@ impl<const D: usize> ListPass<'_, D> {
     #[inline(always)]
     fn is_near_seam(&self, slot: usize) -> bool {
         let (reach, skin) = self.reach;
-        let margin = reach + skin;
+        let margin = (reach + skin) * (PackedSingle::STEPS / self.space.length) + 4.0;
         let mut near = false;
-        for axis in 0..D {
-            let x = self.packed[slot].position[axis];
-            near |= x < margin || x > self.space.length - margin;
+        for x in self.place(slot) {
+            let x = f64::from(x as u32);
+            near |= x < margin || x > PackedSingle::STEPS - margin;
         }
         near
     }
 }
 
 /// The neighbour list of a World.
-#[derive(Resource, Clone, Debug)]
+#[derive(Resource, Debug)]
 pub struct Neighbours<const D: usize> {
     /// The box.
     pub space: PeriodicBox,
@@ -117,11 +188,13 @@ pub struct Neighbours<const D: usize> {
     pub chunks: Arc<Vec<Chunk>>,
     /// How often the lists were rebuilt.
     pub rebuilds: u64,
-    /// Positions by row at the last rebuild.
-    reference: Vec<Vector<f64, D>>,
-    positions: Vec<Vector<f64, D>>,
-    /// Fixed-point coordinates in cell order at the last rebuild.
+    /// Whether the lists may be used.
+    valid: bool,
+    /// Positions by row at the last rebuild, where somebody will ask for them.
+    reference: Option<Vec<Vector<f64, D>>>,
+    /// Fixed-point coordinates in cell order at the last rebuild, with two [`WIDTH`] more.
     columns: [Vec<i32>; D],
+    benches: Mutex<Vec<Workbench<D>>>,
 }
 
 impl<const D: usize> Neighbours<D> {
@@ -134,10 +207,16 @@ impl<const D: usize> Neighbours<D> {
             cells: Cells::default(),
             chunks: Arc::default(),
             rebuilds: 0,
-            reference: Vec::new(),
-            positions: Vec::new(),
+            valid: false,
+            reference: None,
             columns: std::array::from_fn(|_| Vec::new()),
+            benches: Mutex::default(),
         }
+    }
+
+    /// The same list, which remembers the positions that it was built from.
+    pub fn with_reference(self) -> Self {
+        Self { reference: Some(Vec::new()), ..self }
     }
 
     /// Directed pairs closer than the support.
@@ -159,77 +238,103 @@ impl<const D: usize> Neighbours<D> {
 
     /// Bytes held by the lists.
     pub fn bytes(&self) -> usize {
-        let vectors = self.reference.capacity() + self.positions.capacity();
-        let per_row = 8 * D * vectors + 4 * D * self.columns[0].capacity();
-        self.chunks.iter().map(Chunk::bytes).sum::<usize>() + per_row + self.cells.bytes()
+        let reference = self.reference.as_ref().map_or(0, |reference| 8 * D * reference.capacity());
+        let places: usize = self.columns.iter().map(|column| 4 * column.capacity()).sum();
+        let lists: usize = self.chunks.iter().map(Chunk::bytes).sum();
+        lists + reference + places + self.cells.bytes()
     }
 
     /// Forgets the lists, so that the next step builds them anew.
     pub fn invalidate(&mut self) {
-        self.reference.clear();
+        self.valid = false;
     }
 
-    /// Positions by row at the last rebuild: what the lists, and the order of every sum, follow from.
+    /// Positions by row at the last rebuild: what the lists, and the order of every sum, follow from;
+    /// empty where they are not remembered.
     pub fn reference(&self) -> &[Vector<f64, D>] {
-        &self.reference
+        self.reference.as_deref().unwrap_or_default()
     }
 
     /// Builds the lists as they were built from `reference`.
     pub fn restore(&mut self, reference: &[Vector<f64, D>], cloud: &mut Cloud<D>) {
-        self.positions.clear();
-        self.positions.extend_from_slice(reference);
-        self.reference.clear();
-        self.update(cloud);
-    }
-
-    fn is_stale(&self) -> bool {
-        let limit = 0.25 * self.skin * self.skin;
-        let moved = |(&now, &then): (&Vector<f64, D>, &Vector<f64, D>)| {
-            let moved = self.space.minimum_image(now - then).norm_squared();
-            moved.is_nan() || moved >= limit
-        };
-        let rows = self.positions.par_iter().zip(&self.reference).with_min_len(FEWEST);
-        self.reference.len() != self.positions.len() || rows.any(moved)
+        self.build(reference.len(), |row| reference[row], cloud);
     }
 
     /// Builds the lists if some particle has moved half a skin since they were built, and puts the
-    /// positions of `self.positions` into the cloud.
-    fn update(&mut self, cloud: &mut Cloud<D>) {
-        let stale = self.is_stale();
-        if stale {
-            self.reference.clone_from(&self.positions);
-            cloud.resize(self.positions.len());
-            self.cells.sort(&self.positions, self.space, self.support + self.skin);
-            for (slot, &row) in self.cells.row_of_slot.iter().enumerate() {
-                cloud.slot_of_row[row as usize] = slot as u32;
-            }
+    /// positions, row by row, into the cloud.
+    fn update(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) {
+        let known = self.valid && cloud.len() == positions.len();
+        if known && !self.place(positions, cloud) {
+            return;
         }
-        for (&position, &slot) in self.positions.iter().zip(&cloud.slot_of_row) {
-            cloud.packed[slot as usize].position = position.to_3d();
-        }
-        if stale {
-            self.build(cloud);
-        }
+        self.build(positions.len(), |row| positions[row].0, cloud);
+        self.place(positions, cloud);
     }
 
-    fn build(&mut self, cloud: &Cloud<D>) {
+    /// Puts positions into the cloud, and says whether one of them is half a skin or more from where it
+    /// was when the lists were built.
+    fn place(&self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> bool {
+        let steps = PackedSingle::STEPS / self.space.length;
+        // Rounded coordinates are known to half a step each.
+        let limit = (0.5 * self.skin * steps - 4.0).max(0.0).powi(2);
+        let rows = &self.cells.row_of_slot;
+        let lines = cloud.packed[..rows.len()].par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK));
+        let far = lines.enumerate().map(|(number, (lines, rows))| {
+            let mut farthest = 0.0_f64;
+            for (k, (line, &row)) in lines.iter_mut().zip(rows).enumerate() {
+                let position = positions[row as usize].0;
+                line.position = position.to_3d();
+                let mut square = 0.0;
+                for axis in 0..D {
+                    let now = PackedSingle::fixed_point(position[axis], self.space);
+                    let moved = now.wrapping_sub(self.columns[axis][number * CHUNK + k]);
+                    square += f64::from(moved) * f64::from(moved);
+                }
+                farthest = farthest.max(square);
+            }
+            farthest >= limit
+        });
+        far.reduce(|| false, |a, b| a || b)
+    }
+
+    /// Builds the lists from positions by row.
+    fn build(
+        &mut self,
+        count: usize,
+        position: impl Fn(usize) -> Vector<f64, D> + Sync,
+        cloud: &mut Cloud<D>,
+    ) {
         self.rebuilds += 1;
+        self.valid = true;
+        if let Some(reference) = &mut self.reference {
+            reference.clear();
+            reference.extend((0..count).map(&position));
+        }
+        cloud.resize(count);
         let reach = (self.support + self.skin, self.skin);
+        self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
+        let (cells, space) = (&self.cells, self.space);
         for (axis, column) in self.columns.iter_mut().enumerate() {
-            column.clear();
-            column.reserve_exact(cloud.len() + 2 * WIDTH);
-            column.resize(cloud.len() + 2 * WIDTH, 0);
-            let rows = column.par_iter_mut().zip(cloud.particles()).with_min_len(FEWEST);
-            rows.for_each(|(x, p)| *x = PackedSingle::fixed_point(p.position[axis], self.space));
+            column.resize(count + 2 * WIDTH, 0);
+            let rows = column.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
+            rows.for_each(|(x, &row)| {
+                *x = PackedSingle::fixed_point(position(row as usize)[axis], space);
+            });
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::try_unwrap(std::mem::take(&mut self.chunks)).unwrap_or_default();
-        chunks.resize(cloud.len().div_ceil(CHUNK), Chunk::default());
-        let (columns, cells, space) = (&self.columns, &self.cells, self.space);
-        let packed = &cloud.packed[..];
+        chunks.resize(count.div_ceil(CHUNK), Chunk::default());
+        let (columns, benches) = (&self.columns, &self.benches);
+        let position = &|slot: usize| position(cells.row_of_slot[slot] as usize);
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
-            chunk.first = number * CHUNK;
-            dispatch(ListPass { chunk, columns, packed, cells, space, reach });
+            // A poisoned lock only means that another thread's work panicked; benches hold no state.
+            let bench = benches.lock().unwrap_or_else(PoisonError::into_inner).pop();
+            let mut bench = bench.unwrap_or_default();
+            let first = number * CHUNK;
+            let pass = ListPass { first, columns, position, cells, space, reach };
+            dispatch((pass, &mut bench));
+            chunk.copy_from(&bench.lists);
+            benches.lock().unwrap_or_else(PoisonError::into_inner).push(bench);
         });
         self.chunks = Arc::new(chunks);
     }
@@ -257,28 +362,26 @@ pub fn find_neighbours<const D: usize>(
     mut neighbours: ResMut<Neighbours<D>>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let neighbours = &mut *neighbours;
-    neighbours.positions.clear();
-    for column in positions.contiguous_iter().into_iter().flatten() {
-        neighbours.positions.extend(column.iter().map(|r| r.0));
-    }
-    neighbours.update(&mut cloud);
+    let positions = whole_column(positions.contiguous_iter().into_iter().flatten());
+    neighbours.update(&positions, &mut cloud);
 }
 
 /// System: packs the velocity that the next force evaluation sees.
 pub fn pack_velocities<const PREDICTED: bool, const D: usize>(
     particles: Query<(&Velocity<D>, &Acceleration<D>)>,
-    integrator: Res<Integrator>,
+    (integrator, neighbours): (Res<Integrator>, Res<Neighbours<D>>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let Cloud { packed, slot_of_row, .. } = &mut *cloud;
     let half_step = if PREDICTED { 0.5 * integrator.dt } else { 0.0 };
-    let mut slots = slot_of_row.iter();
-    for (velocities, accelerations) in particles.contiguous_iter().into_iter().flatten() {
-        for ((v, a), &slot) in velocities.iter().zip(accelerations).zip(&mut slots) {
-            let seen = if PREDICTED { v.0 + a.0 * half_step } else { v.0 };
-            packed[slot as usize].velocity = seen.to_3d();
-        }
-    }
+    let columns = || particles.contiguous_iter().into_iter().flatten();
+    let velocities = whole_column(columns().map(|(velocities, _)| velocities));
+    let accelerations = whole_column(columns().map(|(_, accelerations)| accelerations));
+    let rows = &neighbours.cells.row_of_slot;
+    let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(FEWEST);
+    lines.for_each(|(line, &row)| {
+        let v = velocities[row as usize].0;
+        let seen = if PREDICTED { v + accelerations[row as usize].0 * half_step } else { v };
+        line.velocity = seen.to_3d();
+    });
     cloud.round(integrator.space);
 }

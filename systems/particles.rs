@@ -1,5 +1,6 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
+use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::Lines;
@@ -8,6 +9,8 @@ use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
+use rayon::prelude::*;
+use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 
 /// Number of the particle in its flow, `0..N`: the key under which recordings know it.
@@ -67,6 +70,16 @@ pub struct VelocityAdjoint<const D: usize>(pub Vector<f64, D>);
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
 
+/// All rows of a component: where they lie, if all are together, or copied together from the tables
+/// that they are spread over.
+pub fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'a, [T]> {
+    let first = parts.next().unwrap_or_default();
+    let Some(second) = parts.next() else { return Cow::Borrowed(first) };
+    let mut whole = [first, second].concat();
+    parts.for_each(|part| whole.extend_from_slice(part));
+    Cow::Owned(whole)
+}
+
 /// What goes backwards through one force evaluation, in cell order; absent where no adjoint is run.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct AdjointCloud<const D: usize> {
@@ -116,8 +129,10 @@ impl<const D: usize> Cloud<D> {
 
     /// Makes room for `count` particles.
     pub fn resize(&mut self, count: usize) {
-        self.packed.clear();
-        self.packed.resize(count + 1, Packed::NOBODY);
+        if self.packed.len() != count + 1 {
+            self.packed.clear();
+            self.packed.resize(count + 1, Packed::NOBODY);
+        }
         self.acceleration.resize(count, Vector::zero());
         self.density.resize(count, 0.0);
         self.slot_of_row.resize(count, 0);
@@ -127,10 +142,10 @@ impl<const D: usize> Cloud<D> {
     pub fn round(&mut self, space: PeriodicBox) {
         if self.precision == Precision::Mixed {
             let particles = &self.packed[..self.slot_of_row.len()];
-            self.singles.clear();
-            self.singles.reserve_exact(particles.len() + 1);
-            self.singles.extend(particles.iter().map(|line| PackedSingle::new(line, space)));
-            self.singles.push(PackedSingle::NOBODY);
+            self.singles.resize(particles.len() + 1, PackedSingle::NOBODY);
+            self.singles[particles.len()] = PackedSingle::NOBODY;
+            let lines = self.singles.par_iter_mut().zip(particles).with_min_len(FEWEST);
+            lines.for_each(|(single, line)| *single = PackedSingle::new(line, space));
         }
     }
 

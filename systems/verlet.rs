@@ -5,8 +5,10 @@ use super::particles::{
     PositionAdjoint, PositionSensitivity, SensitivityCloud, Velocity, VelocityAdjoint,
     VelocitySensitivity,
 };
+use crate::cells::FEWEST;
 use crate::space::PeriodicBox;
 use bevy_ecs::prelude::*;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Which velocity the forces see, and how often they are evaluated.
@@ -94,10 +96,9 @@ pub fn kick<const D: usize>(
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
-    for (velocities, accelerations) in particles.contiguous_iter_mut().into_iter().flatten() {
-        for (v, a) in velocities.into_iter().zip(accelerations) {
-            v.0 += a.0 * half;
-        }
+    for (mut velocities, accelerations) in particles.contiguous_iter_mut().into_iter().flatten() {
+        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(FEWEST);
+        rows.for_each(|(v, a)| v.0 += a.0 * half);
     }
 }
 
@@ -107,10 +108,9 @@ pub fn drift<const D: usize>(
     integrator: Res<Integrator>,
     mut clock: ResMut<Clock>,
 ) {
-    for (positions, velocities) in particles.contiguous_iter_mut().into_iter().flatten() {
-        for (r, v) in positions.into_iter().zip(velocities) {
-            r.0 = integrator.space.wrap(r.0 + v.0 * integrator.dt);
-        }
+    for (mut positions, velocities) in particles.contiguous_iter_mut().into_iter().flatten() {
+        let rows = positions.par_iter_mut().zip(velocities).with_min_len(FEWEST);
+        rows.for_each(|(r, v)| r.0 = integrator.space.wrap(r.0 + v.0 * integrator.dt));
     }
     clock.evaluated = clock.step + 1;
 }

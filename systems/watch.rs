@@ -3,8 +3,10 @@
 use super::acceleration::Law;
 use super::particles::{Acceleration, Density, Position, Velocity};
 use super::verlet::{Clock, Integrator};
+use crate::cells::FEWEST;
 use crate::error::Error;
 use bevy_ecs::prelude::*;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Limits beyond which a run stops.
@@ -38,50 +40,96 @@ pub fn watch<const D: usize>(
         return;
     }
     let mut look = Look::default();
-    let mut row = 0;
     for (r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
-        for (((r, v), a), rho) in r.iter().zip(v).zip(a).zip(rho) {
-            let finite = [r.0.is_finite(), v.0.is_finite(), rho.0.is_finite(), a.0.is_finite()];
-            if let Some(rank) = finite.iter().position(|finite| !finite) {
-                look.see_broken(rank, row);
-            }
-            look.see(v.0.norm_squared(), rho.0);
-            row += 1;
-        }
+        let rows = r.par_iter().zip(v).zip(a).zip(rho).with_min_len(FEWEST);
+        let see = |look: Look, (((r, v), a), rho): (((&Position<D>, &Velocity<D>), &_), &_)| {
+            look.see(r, v, a, rho)
+        };
+        look = look.and(&rows.fold(Look::default, see).reduce(Look::default, |a, b| a.and(&b)));
     }
     let per_speed = integrator.dt / law.0.smoothing().h;
-    let mut courant = look.most_speed(|rho| law.0.sound_speed(rho)) * per_speed;
-    if courant > limits.courant {
-        // A bound is broken: look for the particle.
-        let mut row = 0;
-        for (_, v, _, rho) in particles.contiguous_iter().into_iter().flatten() {
-            for (v, rho) in v.iter().zip(rho) {
-                look.see_speed(law.0.sound_speed(rho.0) + v.0.norm(), row);
-                row += 1;
-            }
-        }
-        courant = look.speed.0 * per_speed;
+    let fastest = look.fastest(|rho| law.0.sound_speed(rho)) * per_speed;
+    if look.finite && fastest <= limits.courant && 0.5 * look.square <= limits.energy {
+        return;
     }
-    let verdict = look.verdict(*limits, courant, row.max(1) as f64);
-    failure.0 = verdict.map(|(quantity, found, remedy)| Error::Diverged {
-        step: clock.step,
-        time: clock.time_at(clock.step, integrator.dt),
-        quantity,
-        found,
-        remedy,
+    // Something is broken, or a bound of it: look closer.
+    let all = particles.contiguous_iter().into_iter().flatten();
+    let rows = all.flat_map(|(r, v, a, rho)| r.iter().zip(v).zip(a).zip(rho));
+    let mut closer = CloserLook::default();
+    for (row, (((r, v), a), rho)) in rows.enumerate() {
+        let finite = [r.0.is_finite(), v.0.is_finite(), rho.0.is_finite(), a.0.is_finite()];
+        if let Some(rank) = finite.iter().position(|finite| !finite) {
+            closer.see_broken(rank, row);
+        }
+        closer.see(v.0.norm(), law.0.sound_speed(rho.0), row);
+    }
+    failure.0 = closer.verdict(*limits, per_speed).map(|(quantity, found, remedy)| {
+        let time = clock.time_at(clock.step, integrator.dt);
+        Error::Diverged { step: clock.step, time, quantity, found, remedy }
     });
 }
 
-/// What was seen in one pass over the particles.
-#[derive(Default)]
+/// What bounds everything that could be wrong, in one pass over the particles.
+#[derive(Clone, Copy)]
 struct Look {
-    /// Rank of the broken quantity in [`BROKEN`], and whose.
-    not_finite: Option<(usize, usize)>,
-    energy: f64,
+    /// Whether every number is one.
+    finite: bool,
     /// Largest `|v|²`.
     square: f64,
     /// Smallest and largest density.
-    density: Option<(f64, f64)>,
+    density: (f64, f64),
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self { finite: true, square: 0.0, density: (f64::INFINITY, f64::NEG_INFINITY) }
+    }
+}
+
+impl Look {
+    fn see<const D: usize>(
+        self,
+        r: &Position<D>,
+        v: &Velocity<D>,
+        a: &Acceleration<D>,
+        rho: &Density,
+    ) -> Self {
+        Self {
+            finite: self.finite
+                & r.0.is_finite()
+                & v.0.is_finite()
+                & a.0.is_finite()
+                & rho.0.is_finite(),
+            square: self.square.max(v.0.norm_squared()),
+            density: (self.density.0.min(rho.0), self.density.1.max(rho.0)),
+        }
+    }
+
+    fn and(&self, other: &Self) -> Self {
+        Self {
+            finite: self.finite & other.finite,
+            square: self.square.max(other.square),
+            density: (self.density.0.min(other.density.0), self.density.1.max(other.density.1)),
+        }
+    }
+
+    /// A bound of the largest signal speed: the fastest particle in the fastest sound.
+    fn fastest(&self, sound_speed: impl Fn(f64) -> f64) -> f64 {
+        let (low, high) = self.density;
+        if low > high {
+            return 0.0;
+        }
+        sound_speed(low).max(sound_speed(high)) + self.square.sqrt()
+    }
+}
+
+/// What is wrong, and with whom.
+#[derive(Default)]
+struct CloserLook {
+    /// Rank of the broken quantity in [`BROKEN`], and whose.
+    not_finite: Option<(usize, usize)>,
+    count: usize,
+    energy: f64,
     /// Largest signal speed, and whose.
     speed: (f64, usize),
 }
@@ -91,39 +139,23 @@ struct Look {
 /// of all. The first in this order therefore names where it began.
 const BROKEN: [&str; 4] = ["position", "velocity", "density", "acceleration"];
 
-impl Look {
+impl CloserLook {
     fn see_broken(&mut self, rank: usize, row: usize) {
         if self.not_finite.is_none_or(|(known, _)| rank < known) {
             self.not_finite = Some((rank, row));
         }
     }
 
-    fn see(&mut self, square: f64, rho: f64) {
-        self.energy += 0.5 * square;
-        self.square = self.square.max(square);
-        let (low, high) = self.density.unwrap_or((rho, rho));
-        self.density = Some((low.min(rho), high.max(rho)));
-    }
-
-    /// A bound of the largest signal speed: the fastest particle in the fastest sound.
-    fn most_speed(&self, sound_speed: impl Fn(f64) -> f64) -> f64 {
-        let (low, high) = self.density.unwrap_or_default();
-        sound_speed(low).max(sound_speed(high)) + self.square.sqrt()
-    }
-
-    fn see_speed(&mut self, speed: f64, row: usize) {
-        if speed > self.speed.0 {
-            self.speed = (speed, row);
+    fn see(&mut self, speed: f64, sound: f64, row: usize) {
+        self.count += 1;
+        self.energy += 0.5 * speed * speed;
+        if sound + speed > self.speed.0 {
+            self.speed = (sound + speed, row);
         }
     }
 
-    /// `(quantity, found, remedy)` of the first limit broken.
-    fn verdict(
-        &self,
-        limits: Limits,
-        courant: f64,
-        count: f64,
-    ) -> Option<(String, String, String)> {
+    /// `(quantity, found, remedy)` of the first limit broken; a Courant number is a speed `per_speed`.
+    fn verdict(&self, limits: Limits, per_speed: f64) -> Option<(String, String, String)> {
         if let Some((rank, row)) = self.not_finite {
             return Some((
                 format!("the {} of particle {row}", BROKEN[rank]),
@@ -131,6 +163,7 @@ impl Look {
                 "take a smaller time step (time.courant or time.dt)".to_owned(),
             ));
         }
+        let courant = self.speed.0 * per_speed;
         if courant > limits.courant {
             return Some((
                 format!("the Courant number of particle {}", self.speed.1),
@@ -138,7 +171,7 @@ impl Look {
                 format!("take a time step {:.1} times smaller (time.dt)", courant / 0.4),
             ));
         }
-        let energy = self.energy / count;
+        let energy = self.energy / self.count.max(1) as f64;
         (energy > limits.energy).then(|| {
             (
                 "the kinetic energy per unit mass".to_owned(),

@@ -114,5 +114,9 @@ pub(super) fn spawn_sensitivities<const D: usize>(
 pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {
     let adjoint = AdjointCloud::<D> { parameters: vec![0.0; parameters], ..Default::default() };
     world.insert_resource(adjoint);
+    // Snapshots keep the positions that lists were built from.
+    if let Some(neighbours) = world.remove_resource::<Neighbours<D>>() {
+        world.insert_resource(neighbours.with_reference());
+    }
     world.insert_resource(Tape::<D>::default());
 }

@@ -5,7 +5,7 @@ use super::{
     StoredSlope, load_directions, load_vector, store_vector,
 };
 use crate::packed::PackedAdjoint;
-use crate::pairs::{Batch, Hood, adjoints};
+use crate::pairs::{AHEAD, Batch, Hood, adjoints};
 use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch_in};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -66,7 +66,9 @@ impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { law, hood: Hood { lines, chunk, space }, room, out } = self;
+        let all = W::lines(lines);
         for (k, acceleration) in out.iter_mut().enumerate() {
+            chunk.fetch_ahead::<W>(k + AHEAD, all);
             let here = chunk.first + k;
             let mut sum = Vector::<W::Double, D>::zero();
             let space = chunk.around(k, space);

@@ -86,6 +86,33 @@ pub trait Wide: Scalar {
         first: usize,
         limits: [f32; 2],
     ) -> [u16; 2];
+    /// Which of the sixteen places from number `first` on are nearer than a limit to a box: its middle and
+    /// half its width, in fixed-point steps; `limit` is on the square of the distance.
+    fn near_box<const D: usize>(
+        columns: &[Vec<i32>; D],
+        around: ([i32; D], f32),
+        first: usize,
+        limit: f32,
+    ) -> u16;
+    /// Copies those of the sixteen places from number `first` on that are in a mask, in order, to number
+    /// `to` and the following; what comes behind them, up to sixteen, is anything.
+    fn keep_places<const D: usize>(
+        mask: u16,
+        columns: &[Vec<i32>; D],
+        first: usize,
+        kept: &mut [Vec<i32>; D],
+        to: usize,
+    );
+    /// Writes those of sixteen slots that are in a mask, without the slot `own`, in order, to the front of
+    /// `kept`, and says how many; what comes behind them is anything.
+    fn keep_others(
+        mask: u16,
+        slots: &[u32; 2 * WIDTH],
+        own: u32,
+        kept: &mut [u32; 2 * WIDTH],
+    ) -> usize;
+    /// Asks for a line that will be needed soon; a hint, which changes no result.
+    fn fetch(line: &Self::Line);
     /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
     /// them is anything.
     fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
@@ -231,7 +258,7 @@ pub(super) fn unit(space: Surroundings) -> f64 {
 }
 
 /// For every mask the lanes that are in it, in order.
-const LANES_OF: [[u8; WIDTH]; 256] = {
+pub(super) const LANES_OF: [[u8; WIDTH]; 256] = {
     let mut table = [[0; WIDTH]; 256];
     let mut mask = 0;
     while mask < 256 {
@@ -276,6 +303,62 @@ pub(super) fn near_by_loop<const D: usize>(
         }
     }
     masks
+}
+
+/// [`Wide::near_box`] place by place.
+#[inline(always)]
+pub(super) fn near_box_by_loop<const D: usize>(
+    columns: &[Vec<i32>; D],
+    (middle, half): ([i32; D], f32),
+    first: usize,
+    limit: f32,
+) -> u16 {
+    let mut mask = 0;
+    for place in 0..2 * WIDTH {
+        let mut square = 0.0;
+        for (column, middle) in columns.iter().zip(middle) {
+            let apart = column[first + place].wrapping_sub(middle) as f32;
+            let outside = (apart.abs() - half).max(0.0);
+            square += outside * outside;
+        }
+        mask |= u16::from(square < limit) << place;
+    }
+    mask
+}
+
+/// [`Wide::keep_places`] place by place.
+#[inline(always)]
+pub(super) fn keep_places_by_loop<const D: usize>(
+    mask: u16,
+    columns: &[Vec<i32>; D],
+    first: usize,
+    kept: &mut [Vec<i32>; D],
+    to: usize,
+) {
+    for (column, kept) in columns.iter().zip(kept) {
+        let mut next = to;
+        for place in 0..2 * WIDTH {
+            kept[next] = column[first + place];
+            next += usize::from(mask >> place & 1);
+        }
+    }
+}
+
+/// [`Wide::keep_others`] place by place.
+#[inline(always)]
+pub(super) fn keep_others_by_loop(
+    mask: u16,
+    slots: &[u32; 2 * WIDTH],
+    own: u32,
+    kept: &mut [u32; 2 * WIDTH],
+) -> usize {
+    let mut next = 0;
+    for (place, &slot) in slots.iter().enumerate() {
+        // Never behind the end: as many were kept as came before.
+        kept[next] = slot;
+        next += usize::from(mask >> place & 1 == 1 && slot != own);
+    }
+    next
 }
 
 /// [`Wide::compress`] by table.

@@ -63,7 +63,7 @@ fn main() {
     );
     print_floors(arguments.rounds);
     println!(
-        "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>6} {:>8}",
+        "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>6} {:>6} {:>6} {:>8}",
         "N",
         "neighbours",
         "precision",
@@ -76,6 +76,8 @@ fn main() {
         "/pair",
         "/floor",
         "search",
+        "build",
+        "pack",
         "builds",
         "bytes/N",
     );
@@ -89,7 +91,8 @@ fn main() {
     println!(
         "\nevaluate: density and forces of all particles, lists given, per particle; /pair: per directed \
          pair within 2h\nfloor: the same formulas on operands in registers, per pair; plain: evaluate of a \
-         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs; builds: of lists, a step"
+         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs; build: a search that builds lists anew, per \
+         particle; pack: one that does not; builds: of lists, a step"
     );
 }
 
@@ -214,7 +217,7 @@ impl Contestant {
         let whole = per(&took[5], all);
         let search = per(&took[4], n) + each * (per(&took[3], n) - per(&took[4], n));
         println!(
-            "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:6.2} {:8.0}",
+            "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:6.1} {:6.1} {:6.2} {:8.0}",
             self.particles,
             self.neighbours,
             self.scene.precision.name(),
@@ -227,6 +230,8 @@ impl Contestant {
             whole / self.neighbours,
             whole / self.neighbours / floor,
             100.0 * search / whole,
+            per(&took[3], n),
+            per(&took[4], n),
             each,
             bytes,
         );
@@ -280,7 +285,7 @@ impl Pass for Floor<'_> {
 
 /// Density and forces by a plain loop over single doubles and the same lists.
 fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
-    let neighbours = world.resource::<Neighbours<3>>().clone();
+    let neighbours = world.resource::<Neighbours<3>>();
     let support2 = medium.smoothing.support() * medium.smoothing.support();
     let cloud = world.resource::<Cloud<3>>();
     let place = |slot: usize| Vector(cloud.packed[slot].position);

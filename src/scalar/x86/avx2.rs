@@ -90,6 +90,16 @@ unsafe fn four_columns(rows: &[*const f64; WIDTH], first: usize, offset: usize) 
     }
 }
 
+/// Those of eight numbers that are in a mask, in order, in front.
+#[inline(always)]
+unsafe fn front_of(mask: u8, numbers: __m256i) -> __m256i {
+    unsafe {
+        let lanes = &LANES_OF[usize::from(mask)];
+        let lanes = _mm256_cvtepu8_epi32(_mm_loadl_epi64(lanes.as_ptr().cast()));
+        _mm256_permutevar8x32_epi32(numbers, lanes)
+    }
+}
+
 impl Wide for Lanes256 {
     wide_doubles!();
 
@@ -144,6 +154,73 @@ impl Wide for Lanes256 {
             }
         }
         masks
+    }
+    #[inline(always)]
+    fn near_box<const D: usize>(
+        columns: &[Vec<i32>; D],
+        (middle, half): ([i32; D], f32),
+        first: usize,
+        limit: f32,
+    ) -> u16 {
+        let mut mask = 0;
+        for eight in 0..2 {
+            unsafe {
+                let (mut square, zero) = (_mm256_setzero_ps(), _mm256_setzero_ps());
+                for (column, middle) in columns.iter().zip(middle) {
+                    let from = first + eight * WIDTH;
+                    let there = _mm256_loadu_si256(column[from..from + WIDTH].as_ptr().cast());
+                    let apart = _mm256_sub_epi32(there, _mm256_set1_epi32(middle));
+                    let apart = _mm256_andnot_ps(_mm256_set1_ps(-0.0), _mm256_cvtepi32_ps(apart));
+                    let outside = _mm256_max_ps(_mm256_sub_ps(apart, _mm256_set1_ps(half)), zero);
+                    square = _mm256_add_ps(square, _mm256_mul_ps(outside, outside));
+                }
+                let less = _mm256_cmp_ps::<_CMP_LT_OQ>(square, _mm256_set1_ps(limit));
+                mask |= (_mm256_movemask_ps(less) as u16) << (eight * WIDTH);
+            }
+        }
+        mask
+    }
+    #[inline(always)]
+    fn keep_places<const D: usize>(
+        mask: u16,
+        columns: &[Vec<i32>; D],
+        first: usize,
+        kept: &mut [Vec<i32>; D],
+        to: usize,
+    ) {
+        let [low, high] = mask.to_le_bytes();
+        let middle = to + low.count_ones() as usize;
+        for (column, kept) in columns.iter().zip(kept) {
+            let from = &column[first..first + 2 * WIDTH];
+            // The second eight go over what the first left behind those it kept.
+            for (mask, from, to) in [(low, &from[..WIDTH], to), (high, &from[WIDTH..], middle)] {
+                let to = &mut kept[to..to + WIDTH];
+                unsafe {
+                    let front = front_of(mask, _mm256_loadu_si256(from.as_ptr().cast()));
+                    _mm256_storeu_si256(to.as_mut_ptr().cast(), front);
+                }
+            }
+        }
+    }
+    #[inline(always)]
+    fn keep_others(
+        mask: u16,
+        slots: &[u32; 2 * WIDTH],
+        own: u32,
+        kept: &mut [u32; 2 * WIDTH],
+    ) -> usize {
+        let mut count = 0;
+        for (mask, slots) in mask.to_le_bytes().into_iter().zip(slots.as_chunks::<WIDTH>().0) {
+            let to = &mut kept[count..count + WIDTH];
+            unsafe {
+                let slots = _mm256_loadu_si256(slots.as_ptr().cast());
+                let same = _mm256_cmpeq_epi32(slots, _mm256_set1_epi32(own as i32));
+                let mask = mask & !(_mm256_movemask_ps(_mm256_castsi256_ps(same)) as u8);
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), front_of(mask, slots));
+                count += mask.count_ones() as usize;
+            }
+        }
+        count
     }
     #[inline(always)]
     fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {

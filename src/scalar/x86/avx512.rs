@@ -144,6 +144,57 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
+    fn near_box<const D: usize>(
+        columns: &[Vec<i32>; D],
+        (middle, half): ([i32; D], f32),
+        first: usize,
+        limit: f32,
+    ) -> u16 {
+        unsafe {
+            let (mut square, zero) = (_mm512_setzero_ps(), _mm512_setzero_ps());
+            for (column, middle) in columns.iter().zip(middle) {
+                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
+                let apart = _mm512_sub_epi32(there, _mm512_set1_epi32(middle));
+                let apart = _mm512_abs_ps(_mm512_cvtepi32_ps(apart));
+                let outside = _mm512_max_ps(_mm512_sub_ps(apart, _mm512_set1_ps(half)), zero);
+                square = _mm512_add_ps(square, _mm512_mul_ps(outside, outside));
+            }
+            _mm512_cmp_ps_mask::<_CMP_LT_OQ>(square, _mm512_set1_ps(limit))
+        }
+    }
+    #[inline(always)]
+    fn keep_places<const D: usize>(
+        mask: u16,
+        columns: &[Vec<i32>; D],
+        first: usize,
+        kept: &mut [Vec<i32>; D],
+        to: usize,
+    ) {
+        for (column, kept) in columns.iter().zip(kept) {
+            let kept = &mut kept[to..to + 2 * WIDTH];
+            unsafe {
+                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
+                let front = _mm512_maskz_compress_epi32(mask, there);
+                _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+            }
+        }
+    }
+    #[inline(always)]
+    fn keep_others(
+        mask: u16,
+        slots: &[u32; 2 * WIDTH],
+        own: u32,
+        kept: &mut [u32; 2 * WIDTH],
+    ) -> usize {
+        unsafe {
+            let slots = _mm512_loadu_si512(slots.as_ptr().cast());
+            let mask = mask & _mm512_cmpneq_epi32_mask(slots, _mm512_set1_epi32(own as i32));
+            let front = _mm512_maskz_compress_epi32(mask, slots);
+            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+            mask.count_ones() as usize
+        }
+    }
+    #[inline(always)]
     fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
         unsafe {
             let count = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);

@@ -9,7 +9,10 @@
 // instructions are used wherever a type does not promise its alignment.
 
 use super::singles::SMALLEST_SINGLE;
-use super::wide::{FAR, compress_in_two, near_by_loop, reading_of, separation_of, unit};
+use super::wide::{
+    FAR, LANES_OF, compress_in_two, keep_others_by_loop, keep_places_by_loop, near_box_by_loop,
+    near_by_loop, reading_of, separation_of, unit,
+};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -128,6 +131,11 @@ macro_rules! wide_doubles {
         type Line = Packed;
 
         #[inline(always)]
+        fn fetch(line: &Packed) {
+            fetch_line(line);
+        }
+
+        #[inline(always)]
         fn widen(self) -> Self {
             self
         }
@@ -182,6 +190,11 @@ macro_rules! wide_singles {
     ($doubles:ty) => {
         type Double = $doubles;
         type Line = PackedSingle;
+
+        #[inline(always)]
+        fn fetch(line: &PackedSingle) {
+            fetch_line(line);
+        }
 
         #[inline(always)]
         fn load(memory: &Lanes) -> Self {
@@ -270,6 +283,34 @@ macro_rules! wide_singles {
             <$doubles>::near(columns, here, first, limits)
         }
         #[inline(always)]
+        fn near_box<const D: usize>(
+            columns: &[Vec<i32>; D],
+            around: ([i32; D], f32),
+            first: usize,
+            limit: f32,
+        ) -> u16 {
+            <$doubles>::near_box(columns, around, first, limit)
+        }
+        #[inline(always)]
+        fn keep_places<const D: usize>(
+            mask: u16,
+            columns: &[Vec<i32>; D],
+            first: usize,
+            kept: &mut [Vec<i32>; D],
+            to: usize,
+        ) {
+            <$doubles>::keep_places(mask, columns, first, kept, to);
+        }
+        #[inline(always)]
+        fn keep_others(
+            mask: u16,
+            slots: &[u32; 2 * WIDTH],
+            own: u32,
+            kept: &mut [u32; 2 * WIDTH],
+        ) -> usize {
+            <$doubles>::keep_others(mask, slots, own, kept)
+        }
+        #[inline(always)]
         fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
             <$doubles>::compress(mask, first, kept);
         }
@@ -293,6 +334,12 @@ impl<P> MapEach<P> for [&P; WIDTH] {
         }
         pointers
     }
+}
+
+/// Asks for the cache line in which a particle's line begins.
+#[inline(always)]
+fn fetch_line<L>(line: &L) {
+    unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) };
 }
 
 /// The first four numbers of a line: position and one velocity.
