@@ -124,7 +124,8 @@ impl Chunk {
         Some(self.start[k] as usize + found)
     }
 
-    /// Becomes a copy of other lists, with room for a sixteenth more, so that it seldom grows.
+    /// Becomes a copy of other lists. A first copy has just the room it needs; one that must grow takes a
+    /// sixteenth more, so that it seldom does.
     pub fn copy_from(&mut self, other: &Self) {
         self.first = other.first;
         self.filled = other.filled;
@@ -171,7 +172,8 @@ impl Chunk {
 fn copy<T: Copy>(into: &mut Vec<T>, from: &[T]) {
     into.clear();
     if into.capacity() < from.len() {
-        into.reserve_exact(from.len() + from.len() / 16);
+        let more = if into.capacity() == 0 { 0 } else { from.len() / 16 };
+        into.reserve_exact(from.len() + more);
     }
     into.extend_from_slice(from);
 }

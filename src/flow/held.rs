@@ -193,8 +193,8 @@ impl<const D: usize> Flow<D> {
         vec![
             ("lists", lists),
             ("cells", cells),
-            // By row, now and at the last rebuild, and by cell.
-            ("positions", neighbours.bytes() - lists - cells),
+            // By cell, in fixed point, at the last rebuild.
+            ("positions", neighbours.bytes() - lists - cells - size_of_val(neighbours.reference())),
         ]
     }
 
@@ -214,7 +214,9 @@ impl<const D: usize> Flow<D> {
 
     fn adjoint_arrays(&self) -> Arrays {
         let Some(cloud) = self.world.get_resource::<AdjointCloud<D>>() else { return Vec::new() };
+        let reference = self.world.get_resource::<Neighbours<D>>().map(Neighbours::reference);
         vec![
+            ("reference", reference.map_or(0, size_of_val)),
             ("packed", room(&cloud.packed)),
             ("position", room(&cloud.position)),
             ("velocity", room(&cloud.velocity)),
