@@ -1,6 +1,6 @@
 //! The equation of state, Eq. (20).
 
-use crate::scalar::Scalar;
+use crate::scalar::{Lanes, Scalar, WIDTH};
 
 /// Tait's pressure `P = (c² ρ₀/γ) [(ρ/ρ₀)^γ − 1]`, Eq. (20), with `ρ₀ = 1`.
 ///
@@ -29,6 +29,44 @@ pub fn internal_energy(rho: f64, c: f64, gamma: f64) -> f64 {
     c * c / gamma * (logarithm + 1.0 / rho - 1.0)
 }
 
+/// `Σ e(ρ)` over particles; where `γ` is a whole number the powers are products, eight at once.
+pub(crate) fn internal_energies(rho: impl Iterator<Item = f64>, c: f64, gamma: f64) -> f64 {
+    let exponent = (gamma - 1.0).clamp(0.0, MOST_PRODUCTS) as u32;
+    let compression = f64::from(exponent);
+    if exponent == 0 || (gamma - 1.0 - compression).abs() > 0.0 {
+        return rho.map(|rho| internal_energy(rho, c, gamma)).sum();
+    }
+    let energy =
+        |rho: Lanes| (power(rho, exponent) - 1.0) / compression + (Lanes::of(1.0) / rho - 1.0);
+    let (mut sum, mut lanes, mut filled) = (Lanes::ZERO, Lanes::of(1.0), 0);
+    for rho in rho {
+        lanes.set_lane(filled, rho);
+        filled = (filled + 1) % WIDTH;
+        if filled == 0 {
+            sum += energy(lanes);
+            lanes = Lanes::of(1.0);
+        }
+    }
+    // Lanes that nobody filled are at `ρ₀`, where the energy is zero.
+    c * c / gamma * (sum + energy(lanes)).sum()
+}
+
+/// The largest `γ − 1` that is taken by products.
+const MOST_PRODUCTS: f64 = 64.0;
+
+/// `xⁿ` by squaring.
+fn power(x: Lanes, mut n: u32) -> Lanes {
+    let (mut result, mut square) = (Lanes::of(1.0), x);
+    while n > 0 {
+        if n % 2 == 1 {
+            result = result * square;
+        }
+        square = square * square;
+        n /= 2;
+    }
+    result
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -44,6 +82,16 @@ mod tests {
                 let expected = stress(tait(rho, 3.0, gamma), rho);
                 assert!((slope - expected).abs() < 1e-8 * (1.0 + expected.abs()));
             }
+        }
+    }
+
+    #[test]
+    fn the_sum_of_energies_is_the_energy_summed() {
+        for gamma in [1.0, 1.4, 2.0, 6.93, 7.0, 500.0] {
+            let rho = || (0..21).map(|k| 0.9 + 0.01 * f64::from(k));
+            let expected: f64 = rho().map(|rho| internal_energy(rho, 3.0, gamma)).sum();
+            let found = internal_energies(rho(), 3.0, gamma);
+            assert!((found - expected).abs() < 1e-13 * (1.0 + expected), "{gamma}: {found}");
         }
     }
 

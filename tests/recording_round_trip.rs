@@ -410,6 +410,71 @@ fn several_flows_named_numbers_and_attachments_come_back() {
     assert_eq!(&*mcap::read::attachment(&bytes, attached).unwrap().data, b"{}");
 }
 
+fn small_flow(settings: &[&str]) -> (whirls::Scene, whirls::Flow<3>) {
+    let small = ["fluid.particles_per_side=6", "fluid.smoothing_length=0.8"];
+    let settings: Vec<String> = small.iter().chain(settings).map(|&set| set.to_owned()).collect();
+    let scene = whirls::Scene::open("inverse-3d", &settings).unwrap();
+    let flow = whirls::Flow::new(&scene).unwrap();
+    (scene, flow)
+}
+
+#[test]
+fn what_each_system_does_to_momentum_is_said_with_every_so_many_frames() {
+    let folder = folder();
+    for (momentum_every, said) in
+        [(3, vec![0, 6, 12]), (1, (0..=12).step_by(2).collect()), (0, vec![])]
+    {
+        let every = format!("record.momentum_every={momentum_every}");
+        let (scene, mut flow) = small_flow(&["record.every=2", &every]);
+        let path = folder.path().join("flow.mcap");
+        let mut recorder = Recorder::create(&path, &run(3)).unwrap();
+        let target = (Some(&mut recorder), Flow::Truth);
+        whirls::run::run_recorded(&mut flow, (12, &scene.record), target, &mut |_| {}).unwrap();
+        recorder.finish().unwrap();
+        let kept = Recording::open(&path).unwrap().conservation().unwrap();
+        assert_eq!(kept.len(), 7);
+        assert!(kept.iter().all(|kept| kept.momentum.len() == 3 && kept.total_energy > 0.0));
+        let lists = kept.iter().filter(|kept| {
+            let lists = [&kept.momentum_pressure, &kept.momentum_viscosity, &kept.momentum_forcing];
+            assert!(lists.iter().all(|list| list.len() == lists[0].len()));
+            lists[0].len() == 3
+        });
+        assert_eq!(lists.map(|kept| kept.step).collect::<Vec<_>>(), said);
+    }
+}
+
+#[test]
+fn a_frame_is_the_state_of_the_flow_wherever_its_particles_lie_in_memory() {
+    #[derive(bevy_ecs::component::Component)]
+    struct Marked;
+    let folder = folder();
+    let frames: Vec<Frame> = ([false, true].into_iter())
+        .map(|marked| {
+            let (scene, mut flow) = small_flow(&[]);
+            if marked {
+                let world = flow.world_mut();
+                let mut ids = world
+                    .query::<(bevy_ecs::entity::Entity, &whirls::systems::particles::Identity)>();
+                let third = ids.iter(world).find(|(_, id)| id.0 == 3).unwrap().0;
+                world.entity_mut(third).insert(Marked);
+            }
+            let path = folder.path().join("flow.mcap");
+            let mut recorder = Recorder::create(&path, &run(3)).unwrap();
+            let target = (Some(&mut recorder), Flow::Truth);
+            whirls::run::run_recorded(&mut flow, (0, &scene.record), target, &mut |_| {}).unwrap();
+            recorder.finish().unwrap();
+            let frame = Recording::open(&path).unwrap().frame(Flow::Truth, 0).unwrap();
+            let state = flow.state();
+            assert_eq!(frame.positions, state.positions.iter().map(|r| r.0).collect::<Vec<_>>());
+            assert_eq!(frame.velocities, state.velocities.iter().map(|v| v.0).collect::<Vec<_>>());
+            assert_eq!(frame.densities, flow.densities());
+            frame
+        })
+        .collect();
+    assert_eq!(frames[0].positions, frames[1].positions);
+    assert_eq!(frames[0].velocities, frames[1].velocities);
+}
+
 #[test]
 fn impossible_input_to_a_recorder_is_refused() {
     let folder = folder();

@@ -107,7 +107,7 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let bar = progress(steps, "simulate");
     let clock = Instant::now();
     let target = (recorder.as_mut(), recording::Flow::Truth);
-    let outcome = run_recorded(&mut flow, (steps, scene.record.every), target, &mut |_| bar.inc(1));
+    let outcome = run_recorded(&mut flow, (steps, &scene.record), target, &mut |_| bar.inc(1));
     let seconds = clock.elapsed().as_secs_f64();
     bar.finish_and_clear();
     if let Some(recorder) = recorder {

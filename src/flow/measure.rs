@@ -8,6 +8,15 @@ use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{Acceleration, Cloud, Density, Identity, Position, Velocity};
 use crate::systems::verlet::{Clock, Integrator};
 use crate::vector::Vector;
+use std::borrow::Cow;
+
+/// What is known of each particle, particle `k` in row `k`.
+#[derive(Default)]
+pub(crate) struct Rows<'a, const D: usize> {
+    pub(crate) positions: Cow<'a, [Position<D>]>,
+    pub(crate) velocities: Cow<'a, [Velocity<D>]>,
+    pub(crate) densities: Cow<'a, [Density]>,
+}
 
 impl<const D: usize> Flow<D> {
     /// Steps completed.
@@ -28,24 +37,40 @@ impl<const D: usize> Flow<D> {
 
     /// Positions and velocities, particle `k` in row `k`.
     pub fn state(&mut self) -> State<D> {
-        let mut state = State { time: self.time(), ..State::default() };
-        let mut rows = self.world.query::<(&Identity, &Position<D>, &Velocity<D>)>();
-        let count = rows.iter(&self.world).count();
-        state.positions.resize(count, Vector::zero());
-        state.velocities.resize(count, Vector::zero());
-        for (id, r, v) in rows.iter(&self.world) {
-            state.positions[id.0 as usize] = r.0;
-            state.velocities[id.0 as usize] = v.0;
+        let rows = self.rows();
+        State {
+            time: self.time(),
+            positions: rows.positions.iter().map(|r| r.0).collect(),
+            velocities: rows.velocities.iter().map(|v| v.0).collect(),
         }
-        state
     }
 
     /// Densities, particle `k` in row `k`.
     pub fn densities(&mut self) -> Vec<f64> {
-        let mut rows = self.world.query::<(&Identity, &Density)>();
-        let mut densities = vec![0.0; rows.iter(&self.world).count()];
-        rows.iter(&self.world).for_each(|(id, rho)| densities[id.0 as usize] = rho.0);
-        densities
+        self.rows().densities.iter().map(|rho| rho.0).collect()
+    }
+
+    /// What is known of each particle, particle `k` in row `k`: as it lies in the World where it lies
+    /// in that order, and put into it where systems or components of a caller's own have changed that.
+    pub(crate) fn rows(&self) -> Rows<'_, D> {
+        type Row<'a, const D: usize> =
+            (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Density);
+        let Some(mut query) = self.world.try_query::<Row<'_, D>>() else {
+            return Rows::default();
+        };
+        let mut tables = query.contiguous_iter(&self.world).into_iter().flatten();
+        if let (Some((ids, r, v, rho)), None) = (tables.next(), tables.next())
+            && (0..).zip(ids).all(|(row, id)| id.0 == row)
+        {
+            return Rows { positions: r.into(), velocities: v.into(), densities: rho.into() };
+        }
+        let mut all: Vec<_> = query.iter(&self.world).collect();
+        all.sort_unstable_by_key(|(id, ..)| id.0);
+        Rows {
+            positions: all.iter().map(|row| *row.1).collect(),
+            velocities: all.iter().map(|row| *row.2).collect(),
+            densities: all.iter().map(|row| *row.3).collect(),
+        }
     }
 
     /// Accelerations of the last force evaluation, particle `k` in row `k`.

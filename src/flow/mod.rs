@@ -9,6 +9,7 @@ mod state;
 
 pub use adjoint::Snapshot;
 pub use held::Held;
+pub(crate) use measure::Rows;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};

@@ -2,9 +2,9 @@
 
 use prost::Message as _;
 
-use super::clock;
 use super::colour::colour;
-use super::messages::{NumericType, PackedElementField, PointCloud, Pose};
+use super::messages::{NumericType, PointCloud};
+use super::rows::{Particle, Title, write_row};
 use crate::{Error, Result};
 
 /// The frame of reference of every cloud.
@@ -26,10 +26,10 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Bytes of a particle while its frame waits to be written: position, velocity, density.
+    /// Bytes of a particle's position, velocity and density.
     pub const BYTES: usize = 7 * size_of::<f64>();
 
-    /// Bytes of a particle's row in the file, before they are compressed: those, its number and its colour.
+    /// Bytes of a particle's row in the file: those, its number and its colour.
     pub const ROW: usize = Self::BYTES + 4 + 4;
 
     /// A frame from vectors of `D` = 2 or 3 numbers; in two dimensions the third is set to 0.
@@ -51,15 +51,24 @@ impl Frame {
         }
     }
 
-    pub(super) fn into_cloud(self) -> Cloud {
-        let axis = |k: usize| self.velocities.iter().map(|v| v[k]).collect();
-        let columns = vec![
-            Column::new("vx", axis(0)),
-            Column::new("vy", axis(1)),
-            Column::new("vz", axis(2)),
-            Column::new("rho", self.densities),
-        ];
-        Cloud { step: self.step, time: self.time, positions: self.positions, columns }
+    /// Refuses columns of different lengths, and a third coordinate in two dimensions.
+    pub(super) fn check(&self, topic: &str, dimension: usize) -> Result<()> {
+        let count = self.positions.len();
+        if self.velocities.len() != count {
+            return Err(Error::input(
+                format!("{topic}, step {}", self.step),
+                format!("{count} velocities, one per position"),
+                self.velocities.len(),
+                "give every particle a velocity",
+            ));
+        }
+        one_per_position((topic, "rho"), &self.densities, count)?;
+        in_the_plane(topic, &self.positions, dimension)
+    }
+
+    /// What is known of particle `k` of a frame whose columns are equally long.
+    pub(super) fn particle(&self, k: usize) -> Particle {
+        (self.positions[k], self.velocities[k], self.densities[k])
     }
 
     pub(super) fn from_cloud(cloud: Cloud, place: &str) -> Result<Self> {
@@ -119,14 +128,7 @@ impl Cloud {
         let count = self.positions.len();
         let taken = ["x", "y", "z", "id", "red", "green", "blue", "alpha"];
         for (k, Column { name, values }) in self.columns.iter().enumerate() {
-            if values.len() != count {
-                return Err(Error::input(
-                    format!("{topic}, column {name}"),
-                    format!("{count} values, one per position"),
-                    values.len(),
-                    "give every particle one value",
-                ));
-            }
+            one_per_position((topic, name), values, count)?;
             let twice = self.columns.iter().take(k).any(|column| column.name == *name);
             if twice || name.is_empty() || taken.contains(&name.as_str()) {
                 return Err(Error::input(
@@ -137,41 +139,16 @@ impl Cloud {
                 ));
             }
         }
-        let flat = self.positions.iter().position(|row| dimension == 2 && row[2] != 0.0);
-        flat.map_or(Ok(()), |k| {
-            Err(Error::input(
-                format!("{topic}, particle {k}"),
-                "z = 0 in two dimensions",
-                self.positions[k][2],
-                "set the third coordinate to 0, or `dimension` to 3",
-            ))
-        })
+        in_the_plane(topic, &self.positions, dimension)
     }
 
-    /// The encoded `foxglove.PointCloud`; `shade[k]` is particle `k`'s fraction of the colour scale.
-    pub(super) fn encode(&self, shade: impl Iterator<Item = f64>) -> Vec<u8> {
-        let fields = layout(self.columns.iter().map(|column| column.name.as_str()));
-        let stride = 8 * (3 + self.columns.len()) + 8;
-        let mut data = Vec::with_capacity(stride * self.positions.len());
-        for ((k, position), fraction) in (0_u32..).zip(&self.positions).zip(shade) {
-            position.iter().for_each(|x| data.extend_from_slice(&x.to_le_bytes()));
-            for column in &self.columns {
-                data.extend_from_slice(&column.values[k as usize].to_le_bytes());
-            }
-            data.extend_from_slice(&k.to_le_bytes());
-            data.extend_from_slice(&colour(fraction));
-        }
-        let cloud = PointCloud {
-            timestamp: Some(clock::timestamp(self.time)),
-            frame_id: WORLD.into(),
-            pose: Some(Pose::identity()),
-            point_stride: stride as u32,
-            fields,
-            data,
-            simulation_time: self.time,
-            simulation_step: self.step,
-        };
-        cloud.encode_to_vec()
+    /// Makes `message` the encoded `foxglove.PointCloud`; `shade[k]` is particle `k`'s fraction of the
+    /// colour scale.
+    pub(super) fn encode(&self, title: &Title<'_>, shade: &[f64], message: &mut Vec<u8>) {
+        title.encode(message, self.positions.len(), |k, row| {
+            let columns = self.columns.iter().map(|column| column.values[k]);
+            write_row((k, row), self.positions[k].into_iter().chain(columns), colour(shade[k]));
+        });
     }
 
     /// Reads an encoded `foxglove.PointCloud`: every FLOAT64 field, bit for bit.
@@ -194,17 +171,30 @@ impl Cloud {
     }
 }
 
-/// The fields of a row: x y z and the columns as FLOAT64, `id`, then the four colour bytes.
-fn layout<'a>(columns: impl Iterator<Item = &'a str>) -> Vec<PackedElementField> {
-    use NumericType::{Float64, Uint8, Uint32};
-    let floats = ["x", "y", "z"].into_iter().chain(columns).map(|name| (name, Float64, 8));
-    let rest = [("id", Uint32, 4), ("red", Uint8, 1), ("green", Uint8, 1), ("blue", Uint8, 1)];
-    let mut offset = 0;
-    let mut place = |(name, kind, size): (&str, NumericType, u32)| {
-        offset += size;
-        PackedElementField { name: name.into(), offset: offset - size, r#type: kind.into() }
-    };
-    floats.chain(rest).chain([("alpha", Uint8, 1)]).map(&mut place).collect()
+/// Refuses a column of another length than the positions.
+fn one_per_position((topic, name): (&str, &str), values: &[f64], count: usize) -> Result<()> {
+    if values.len() == count {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("{topic}, column {name}"),
+        format!("{count} values, one per position"),
+        values.len(),
+        "give every particle one value",
+    ))
+}
+
+/// Refuses a third coordinate in two dimensions.
+fn in_the_plane(topic: &str, positions: &[[f64; 3]], dimension: usize) -> Result<()> {
+    let outside = positions.iter().position(|row| dimension == 2 && row[2] != 0.0);
+    outside.map_or(Ok(()), |k| {
+        Err(Error::input(
+            format!("{topic}, particle {k}"),
+            "z = 0 in two dimensions",
+            positions[k][2],
+            "set the third coordinate to 0, or `dimension` to 3",
+        ))
+    })
 }
 
 /// The rows of a cloud whose stride, fields and length have been found to agree.
@@ -252,20 +242,5 @@ impl<'a> Rows<'a> {
         let from = row * self.stride + offset;
         let bytes = self.cloud.data.get(from..from + 8).and_then(|bytes| bytes.try_into().ok());
         bytes.map_or(f64::NAN, f64::from_le_bytes)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_row_is_as_long_as_is_said() {
-        let frame = Frame::new::<2>(0, 0.0, [[0.0; 2]; 3], [[1.0; 2]; 3], vec![1.0; 3]);
-        let cloud = frame.into_cloud();
-        assert_eq!(8 * (3 + cloud.columns.len()), Frame::BYTES);
-        let bytes = cloud.encode([0.0; 3].into_iter());
-        let read = PointCloud::decode(bytes.as_slice()).unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!((read.point_stride as usize, read.data.len()), (Frame::ROW, 3 * Frame::ROW));
     }
 }

@@ -25,14 +25,50 @@ pub fn colour(fraction: f64) -> [u8; 4] {
     let (low, high, part) = (STOPS[stop], STOPS[stop + 1], place - stop as f64);
     let mix = |k: usize| {
         let (low, high) = (f64::from(low[k]), f64::from(high[k]));
-        (low + part * (high - low)).round() as u8
+        // To the nearest whole number, halves up.
+        (low + part * (high - low) + 0.5) as u8
     };
     [mix(0), mix(1), mix(2), 255]
+}
+
+/// The colours of so many fractions, looked up: a channel differs by one at most from [`colour`]'s.
+#[derive(Debug)]
+pub(super) struct Palette(Vec<[u8; 4]>);
+
+impl Palette {
+    const STEPS: usize = 2048;
+
+    pub(super) fn new() -> Self {
+        let step = |k: usize| colour(k as f64 / Self::STEPS as f64);
+        Self((0..=Self::STEPS).map(step).collect())
+    }
+
+    /// The colour of the nearest fraction in it.
+    #[inline]
+    pub(super) fn colour(&self, fraction: f64) -> [u8; 4] {
+        // NaN becomes 0 as a place, and what lies beyond the scale an end of it.
+        let place = (fraction * Self::STEPS as f64 + 0.5) as usize;
+        let found = self.0[place.min(Self::STEPS)];
+        if fraction.is_nan() { [255; 4] } else { found }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn colours_looked_up_are_those_computed_to_one_step_of_a_channel() {
+        let palette = Palette::new();
+        for k in -100..=5100 {
+            let fraction = f64::from(k) / 4999.0;
+            let pairs = palette.colour(fraction).into_iter().zip(colour(fraction));
+            assert!(pairs.into_iter().all(|(found, exact)| found.abs_diff(exact) <= 1), "{k}");
+        }
+        for fraction in [f64::NEG_INFINITY, -0.0, f64::INFINITY, f64::NAN] {
+            assert_eq!(palette.colour(fraction), colour(fraction));
+        }
+    }
 
     #[test]
     fn lightness_rises_with_the_fraction() {

@@ -29,6 +29,30 @@ pub(super) struct PointCloud {
     pub(super) simulation_step: u64,
 }
 
+/// What stands before the rows of a [`PointCloud`], in its encoding.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct CloudHead {
+    #[prost(message, optional, tag = "1")]
+    pub(super) timestamp: Option<prost_types::Timestamp>,
+    #[prost(string, tag = "2")]
+    pub(super) frame_id: String,
+    #[prost(message, optional, tag = "3")]
+    pub(super) pose: Option<Pose>,
+    #[prost(fixed32, tag = "4")]
+    pub(super) point_stride: u32,
+    #[prost(message, repeated, tag = "5")]
+    pub(super) fields: Vec<PackedElementField>,
+}
+
+/// What stands behind the rows of a [`PointCloud`], in its encoding.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct CloudTail {
+    #[prost(double, required, tag = "1001")]
+    pub(super) simulation_time: f64,
+    #[prost(uint64, tag = "1002")]
+    pub(super) simulation_step: u64,
+}
+
 /// `foxglove.PackedElementField`: name, byte offset and number type of one field of a row.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct PackedElementField {
@@ -240,7 +264,8 @@ pub(super) fn log10(value: f64, floor: f64) -> f64 {
 /// `whirls.Conservation`: what a flow should keep, at one step (topic `/diag/conservation`).
 ///
 /// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one per
-/// system that accelerates them: round-off if that system conserves momentum.
+/// system that accelerates them: round-off if that system conserves momentum. They take force
+/// evaluations of their own, and are empty at steps where nobody asked (`record.momentum_every`).
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Conservation {
     /// Which step, from 0.

@@ -29,6 +29,7 @@ mod messages;
 mod reader;
 mod recorder;
 mod recover;
+mod rows;
 mod run_info;
 mod schemas;
 mod sink;

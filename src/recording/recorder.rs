@@ -1,12 +1,14 @@
 //! [`Recorder`]: the writer of a recording, on a thread of its own.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 
 use prost::Message as _;
 
+use super::colour::Palette;
 use super::messages::{Conservation, Level, Log, TrainStep, Values};
+use super::rows::{Particle, Title, write_row};
 use super::schemas::Schema;
 use super::sink::{Entry, Sink};
 use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
@@ -20,9 +22,10 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 
 /// Writes one run into one MCAP file.
 ///
-/// Packing, colouring, compressing and writing happen on a thread of their own behind a queue of eight
-/// messages: when the disk cannot keep up the run waits, and no message is lost. A failure to
-/// write is returned by the next call, or by [`finish`](Self::finish). Dropping the recorder (also
+/// Particles become the bytes of their message at once, coloured, in one pass on all threads; checksums,
+/// compressing and writing happen on a thread of their own behind a queue of eight messages, from
+/// which the memory of each cloud comes back to be used again. When the disk cannot keep up the run
+/// waits, and no message is lost. A failure to write is returned by the next call, or by [`finish`](Self::finish). Dropping the recorder (also
 /// while a panic unwinds) completes the file; of a killed run everything up to the last chunk can
 /// be read, and [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give equal bytes.
 ///
@@ -48,34 +51,42 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 pub struct Recorder {
     path: PathBuf,
     dimension: usize,
-    speed_scale: f64,
+    /// Fraction of the colour scale of each unit of speed.
+    per_speed: f64,
+    palette: Palette,
     queue: Option<SyncSender<Order>>,
+    /// Clouds that have been written, to be written over.
+    written: Receiver<Vec<u8>>,
     thread: Option<JoinHandle<Result<Summary>>>,
 }
 
 /// What the writing thread is told to do.
 enum Order {
-    Cloud { topic: String, cloud: Cloud, shade: Shade },
+    /// An encoded cloud, with the times of its message.
+    Cloud {
+        topic: String,
+        times: (u64, u64),
+        message: Vec<u8>,
+    },
     TrainStep(TrainStep),
     Conservation(Conservation),
     Log(Log),
-    Values { topic: String, values: Values },
-    Attachment { name: String, media_type: &'static str, data: Vec<u8> },
+    Values {
+        topic: String,
+        values: Values,
+    },
+    Attachment {
+        name: String,
+        media_type: &'static str,
+        data: Vec<u8>,
+    },
     Checkpoint(SyncSender<()>),
 }
 
-/// How a cloud is coloured.
-enum Shade {
-    /// By speed (columns 0 to 2) over this scale.
-    Speed(f64),
-    /// By these fractions of the colour scale.
-    Fractions(Vec<f64>),
-}
-
 impl Recorder {
-    /// Most bytes per particle on their way to the disk: the frames that wait, the one that is written, its
-    /// rows and the message that they become.
-    pub const MOST_BYTES: usize = (QUEUE + 1) * Frame::BYTES + 2 * Frame::ROW;
+    /// Most bytes per particle on their way to the disk: the frames that wait, the one that is written and
+    /// the one that is made.
+    pub const MOST_BYTES: usize = (QUEUE + 2) * Frame::ROW;
 
     /// Creates the file, and the folders it lies in, and begins it with what is known of the run.
     ///
@@ -85,15 +96,18 @@ impl Recorder {
         let mut sink = Sink::create(path, run.to_record()?, &run.scene_toml)?;
         sink.begin(&run.scene_toml)?;
         let (queue, orders) = sync_channel(QUEUE);
+        let (back, written) = channel();
         let thread = std::thread::Builder::new()
             .name("recorder".into())
-            .spawn(move || obey(sink, &orders))
+            .spawn(move || obey(sink, &orders, &back))
             .map_err(|error| Error::write(path, error))?;
         Ok(Self {
             path: path.to_owned(),
             dimension: run.dimension,
-            speed_scale: run.speed_scale,
+            per_speed: 1.0 / run.speed_scale,
+            palette: Palette::new(),
             queue: Some(queue),
+            written,
             thread: Some(thread),
         })
     }
@@ -119,16 +133,43 @@ impl Recorder {
     }
 
     fn order_frame(&mut self, topic: &str, frame: Frame) -> Result<()> {
-        if frame.velocities.len() != frame.positions.len() {
-            return Err(Error::input(
-                format!("{topic}, step {}", frame.step),
-                format!("{} velocities, one per position", frame.positions.len()),
-                frame.velocities.len(),
-                "give every particle a velocity",
-            ));
-        }
-        let shade = Shade::Speed(self.speed_scale);
-        self.order_cloud(topic, frame.into_cloud(), shade)
+        frame.check(topic, self.dimension)?;
+        let count = frame.positions.len();
+        self.order_rows(topic, (frame.step, frame.time), count, |k| frame.particle(k))
+    }
+
+    /// Records `count` particles of a flow, coloured by speed; `particle(k)` is asked for on any thread.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if they are too many; [`Error::File`] if writing has failed.
+    pub(crate) fn particles(
+        &mut self,
+        flow: Flow,
+        now: (u64, f64),
+        count: usize,
+        particle: impl Fn(usize) -> Particle + Sync,
+    ) -> Result<()> {
+        self.order_rows(flow.topic(), now, count, particle)
+    }
+
+    fn order_rows(
+        &mut self,
+        topic: &str,
+        (step, time): (u64, f64),
+        count: usize,
+        particle: impl Fn(usize) -> Particle + Sync,
+    ) -> Result<()> {
+        let title = Title { step, time, columns: &["vx", "vy", "vz", "rho"] };
+        must_fit(topic, &title, count)?;
+        let (mut message, per_speed) = (self.room(), self.per_speed);
+        let palette = &self.palette;
+        title.encode(&mut message, count, |k, row| {
+            let ([x, y, z], [vx, vy, vz], rho) = particle(k);
+            let speed = (vx * vx + vy * vy + vz * vz).sqrt();
+            let colour = palette.colour(per_speed * speed);
+            write_row((k, row), [x, y, z, vx, vy, vz, rho], colour);
+        });
+        self.order_cloud(topic, &title, message)
     }
 
     /// Records particles with any columns on a topic of their own, such as
@@ -147,7 +188,13 @@ impl Recorder {
                 "give every particle a shade",
             ));
         }
-        self.order_cloud(topic, cloud, Shade::Fractions(shade))
+        cloud.check(topic, self.dimension)?;
+        let columns: Vec<&str> = cloud.columns.iter().map(|column| column.name.as_str()).collect();
+        let title = Title { step: cloud.step, time: cloud.time, columns: &columns };
+        must_fit(topic, &title, cloud.positions.len())?;
+        let mut message = self.room();
+        cloud.encode(&title, &shade, &mut message);
+        self.order_cloud(topic, &title, message)
     }
 
     /// Records one iteration of learning.
@@ -222,18 +269,14 @@ impl Recorder {
         self.close()
     }
 
-    fn order_cloud(&mut self, topic: &str, cloud: Cloud, shade: Shade) -> Result<()> {
-        cloud.check(topic, self.dimension)?;
-        let bytes = (cloud.columns.len() + 4).saturating_mul(8 * cloud.positions.len());
-        if bytes > LARGEST_CLOUD {
-            return Err(Error::input(
-                topic,
-                format!("at most {LARGEST_CLOUD} bytes in a cloud"),
-                bytes,
-                "record fewer particles or columns",
-            ));
-        }
-        self.order(Order::Cloud { topic: topic.into(), cloud, shade })
+    /// Memory for a message: that of a cloud which has been written, where there is one.
+    fn room(&self) -> Vec<u8> {
+        self.written.try_recv().unwrap_or_default()
+    }
+
+    fn order_cloud(&mut self, topic: &str, title: &Title<'_>, message: Vec<u8>) -> Result<()> {
+        let times = (clock::nanoseconds(title.time), clock::ticks(title.step));
+        self.order(Order::Cloud { topic: topic.into(), times, message })
     }
 
     fn order(&mut self, order: Order) -> Result<()> {
@@ -265,6 +308,20 @@ impl Drop for Recorder {
     }
 }
 
+/// Refuses a cloud of `count` particles that would be too large to be read.
+fn must_fit(topic: &str, title: &Title<'_>, count: usize) -> Result<()> {
+    let bytes = title.stride().saturating_mul(count);
+    if bytes <= LARGEST_CLOUD {
+        return Ok(());
+    }
+    Err(Error::input(
+        topic,
+        format!("at most {LARGEST_CLOUD} bytes in a cloud"),
+        bytes,
+        "record fewer particles or columns",
+    ))
+}
+
 /// Refuses a topic that means something else.
 fn own_topic(topic: &str) -> Result<()> {
     if topic.starts_with('/') && !topic::is_reserved(topic) {
@@ -279,10 +336,14 @@ fn own_topic(topic: &str) -> Result<()> {
 }
 
 /// The writing thread: obeys until the queue is closed, then completes the file.
-fn obey(mut sink: Sink, orders: &Receiver<Order>) -> Result<Summary> {
+fn obey(mut sink: Sink, orders: &Receiver<Order>, written: &Sender<Vec<u8>>) -> Result<Summary> {
     for order in orders {
         match order {
-            Order::Cloud { topic, cloud, shade } => write_cloud(&mut sink, &topic, &cloud, shade)?,
+            Order::Cloud { topic, times, message } => {
+                write_cloud(&mut sink, &topic, times, &message)?;
+                // Nobody waits for the memory of the last clouds.
+                let _ = written.send(message);
+            }
             Order::TrainStep(step) => {
                 let time = clock::ticks(step.iteration);
                 write(&mut sink, topic::TRAIN_STEP, (time, time), &step.encode_to_vec())?;
@@ -320,19 +381,88 @@ fn write(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result
     sink.write(&Entry { topic, log_time, publish_time, data, alone: false })
 }
 
-fn write_cloud(sink: &mut Sink, topic: &str, cloud: &Cloud, shade: Shade) -> Result<()> {
+fn write_cloud(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
     let schema = Schema::PointCloud;
     sink.channel(topic, schema.name(), || schema.descriptors())?;
-    let data = match shade {
-        Shade::Fractions(fractions) => cloud.encode(fractions.into_iter()),
-        Shade::Speed(scale) => {
-            let speed = |k: usize| {
-                let squares = cloud.columns.iter().take(3).map(|axis| axis.values[k].powi(2));
-                squares.sum::<f64>().sqrt()
-            };
-            cloud.encode((0..cloud.positions.len()).map(|k| speed(k) / scale))
+    let (log_time, publish_time) = times;
+    sink.write(&Entry { topic, log_time, publish_time, data, alone: true })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Recording;
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    const PARTICLES: usize = 300;
+    const FRAMES: usize = 60;
+
+    fn frame(step: usize) -> Frame {
+        let rows = (0..PARTICLES).map(|k| [k as f64, step as f64, (k * step) as f64]);
+        Frame::new(step as u64, step as f64, rows.clone(), rows, vec![1.0; PARTICLES])
+    }
+
+    fn recorder(path: &Path) -> Result<Recorder> {
+        let run = RunInfo {
+            scene_toml: "name = \"test\"\n".into(),
+            dimension: 3,
+            box_length: 1.0,
+            speed_scale: 1.0,
+            parameters: vec![],
+            metadata: Default::default(),
+        };
+        Recorder::create(path, &run)
+    }
+
+    #[test]
+    fn no_frame_is_lost_and_memory_stays_bounded_when_the_disk_stands_still() -> Result<()> {
+        let folder = std::env::temp_dir().join(format!("whirls-still-{}", std::process::id()));
+        let path = folder.join("still.mcap");
+        let mut recorder = recorder(&path)?;
+        // The writing thread waits here until somebody takes its answer.
+        let (done, wait) = sync_channel(0);
+        recorder.order(Order::Checkpoint(done))?;
+        let accepted = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            let run = scope.spawn(|| -> Result<()> {
+                for step in 0..FRAMES {
+                    recorder.frame(Flow::Truth, frame(step))?;
+                    accepted.fetch_add(1, Ordering::SeqCst);
+                }
+                recorder.checkpoint()
+            });
+            while accepted.load(Ordering::SeqCst) < QUEUE - 1 {
+                std::thread::yield_now();
+            }
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            assert!(accepted.load(Ordering::SeqCst) <= QUEUE, "the run waits for the disk");
+            assert!(wait.recv().is_ok());
+            run.join().unwrap_or_else(|_| panic!("the run panicked"))
+        })?;
+        // All the memory that was ever made has come back.
+        let made: Vec<Vec<u8>> = recorder.written.try_iter().collect();
+        let bytes: usize = made.iter().map(Vec::capacity).sum();
+        assert!(made.len() <= QUEUE + 2, "{} clouds in memory", made.len());
+        assert!(bytes <= PARTICLES * Recorder::MOST_BYTES + made.len() * 512, "{bytes} bytes");
+        recorder.finish()?;
+        let recording = Recording::open(&path)?;
+        assert_eq!(recording.frame_count(Flow::Truth), FRAMES);
+        for step in 0..FRAMES {
+            assert_eq!(recording.frame(Flow::Truth, step)?, frame(step));
         }
-    };
-    let (log_time, publish_time) = (clock::nanoseconds(cloud.time), clock::ticks(cloud.step));
-    sink.write(&Entry { topic, log_time, publish_time, data: &data, alone: true })
+        std::fs::remove_dir_all(folder).map_err(|error| Error::write(&path, error))
+    }
+
+    #[test]
+    fn a_disk_that_keeps_up_is_given_the_same_memory_again() -> Result<()> {
+        let folder = std::env::temp_dir().join(format!("whirls-again-{}", std::process::id()));
+        let mut recorder = recorder(&folder.join("again.mcap"))?;
+        for step in 0..FRAMES {
+            recorder.frame(Flow::Truth, frame(step))?;
+            recorder.checkpoint()?;
+        }
+        assert_eq!(recorder.written.try_iter().count(), 1);
+        recorder.finish()?;
+        std::fs::remove_dir_all(&folder).map_err(|error| Error::write(&folder, error))
+    }
 }

@@ -16,9 +16,9 @@ pub use training::{
 };
 
 use crate::error::{Error, Result};
-use crate::flow::{Flow, State};
+use crate::flow::{Flow, Rows, State};
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
-use crate::scene::Scene;
+use crate::scene::{Record, Scene};
 use crate::statistics;
 use crate::truth::Truth;
 use crate::vector::Vector;
@@ -87,31 +87,38 @@ pub fn frame<const D: usize>(step: u64, state: &State<D>, densities: &[f64]) -> 
 }
 
 /// Records a flow as it stands: its particles on one topic, and what it keeps.
-pub fn record_now<const D: usize>(
+fn record_now<const D: usize>(
     recorder: &mut Recorder,
     topic: recording::Flow,
-    flow: &mut Flow<D>,
+    (flow, by_system): (&Flow<D>, bool),
 ) -> Result<()> {
-    let (state, densities) = (flow.state(), flow.densities());
-    let kept = statistics::conservation_of(flow, &state, &densities);
-    recorder.frame(topic, frame(flow.steps(), &state, &densities))?;
-    recorder.conservation(kept)
+    let rows = flow.rows();
+    let Rows { positions, velocities, densities } = &rows;
+    let particle = |k: usize| {
+        let (r, v): (Vector<f64, D>, Vector<f64, D>) = (positions[k].0, velocities[k].0);
+        (r.to_3d(), v.to_3d(), densities[k].0)
+    };
+    let now = (flow.steps(), flow.time());
+    recorder.particles(topic, now, positions.len(), particle)?;
+    recorder.conservation(statistics::conservation_of(flow, &rows, by_system))
 }
 
-/// Runs a flow for `steps`, records every `every`-th state on one topic, and calls `after` behind
-/// each step. A flow that diverges leaves its last state and the reason in the recording.
+/// Runs a flow for `steps`, records the states that `record` keeps on one topic, and calls `after`
+/// behind each step. A flow that diverges leaves its last state and the reason in the recording.
 ///
 /// # Errors
 /// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
 pub fn run_recorded<const D: usize>(
     flow: &mut Flow<D>,
-    (steps, every): (u64, u64),
+    (steps, record): (u64, &Record),
     (mut recorder, topic): (Option<&mut Recorder>, recording::Flow),
     after: &mut dyn FnMut(&Flow<D>),
 ) -> Result<()> {
-    let mut keep = |flow: &mut Flow<D>| match &mut recorder {
-        Some(recorder) if every > 0 && flow.steps().is_multiple_of(every) => {
-            record_now(recorder, topic, flow)
+    let mut keep = |flow: &Flow<D>| match &mut recorder {
+        Some(recorder) if record.keeps(flow.steps()) => {
+            let by_system = record.splits_momentum(flow.steps());
+            // On a thread of the pool, as steps are: parallel loops then begin at once.
+            rayon::scope(|_| record_now(recorder, topic, (flow, by_system)))
         }
         _ => Ok(()),
     };

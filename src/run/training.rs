@@ -253,7 +253,7 @@ impl<const D: usize> Training<'_, D> {
         let Self { scene, lesson, .. } = self;
         let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
         flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
-        let steps = (lesson.learn.steps(), scene.record.every);
+        let steps = (lesson.learn.steps(), &scene.record);
         run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
         // A learned equation of state can be held against the true one.
         let learned = flow.model().has_stress_network() && lesson.known.is_some();

@@ -177,13 +177,30 @@ pub struct Time {
 pub struct Record {
     /// Every how many steps a frame is kept; 0 keeps none.
     pub every: u64,
+    /// With every how many frames it is also said what each system does to momentum, which takes two force
+    /// evaluations; 0 never says it.
+    pub momentum_every: u64,
     /// Speed at the bright end of the colour scale; twice the initial velocity where it is 0.
     pub speed_scale: f64,
 }
 
 impl Default for Record {
     fn default() -> Self {
-        Self { every: 1, speed_scale: 0.0 }
+        Self { every: 1, momentum_every: 50, speed_scale: 0.0 }
+    }
+}
+
+impl Record {
+    /// Whether a step is kept.
+    pub fn keeps(&self, step: u64) -> bool {
+        self.every > 0 && step.is_multiple_of(self.every)
+    }
+
+    /// Whether it is said of a step that is kept what each system does to momentum.
+    pub fn splits_momentum(&self, step: u64) -> bool {
+        self.keeps(step)
+            && self.momentum_every > 0
+            && (step / self.every).is_multiple_of(self.momentum_every)
     }
 }
 

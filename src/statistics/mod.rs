@@ -10,10 +10,10 @@ pub use increments::Moments;
 pub use spectrum::energy_spectrum;
 pub use structure::{Structure, structure_functions};
 
-use crate::flow::{Flow, State};
+use crate::flow::{Flow, Rows};
 use crate::models::{Parameter, Parameters};
 use crate::recording::Conservation;
-use crate::state::{internal_energy, tait};
+use crate::state::{internal_energies, tait};
 use crate::systems::acceleration::{Law, model_accelerations};
 use crate::systems::forcing::external_forces;
 use crate::systems::neighbours::{CHUNK, Neighbours};
@@ -97,38 +97,90 @@ pub fn pressure_error<const D: usize>(
 
 /// Everything that `/diag/conservation` records of a flow as it stands.
 pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
-    let (state, densities) = (flow.state(), flow.densities());
-    conservation_of(flow, &state, &densities)
+    conservation_of(flow, &flow.rows(), true)
 }
 
-/// The same of a flow whose state and densities are at hand.
+/// The same of a flow whose rows are at hand; what each system does to momentum, which takes force
+/// evaluations, only where that is asked for.
 pub(crate) fn conservation_of<const D: usize>(
     flow: &Flow<D>,
-    state: &State<D>,
-    densities: &[f64],
+    rows: &Rows<'_, D>,
+    by_system: bool,
 ) -> Conservation {
     let parameters = flow.parameters();
     let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
-    let mass = flow.mass();
-    let kinetic: f64 = state.velocities.iter().map(|v| 0.5 * mass * v.norm_squared()).sum();
-    let energy = |part: &[f64]| part.iter().map(|&rho| internal_energy(rho, c, gamma)).sum();
-    let parts: Vec<f64> = densities.par_chunks(CHUNK).map(energy).collect();
-    let internal = mass * parts.iter().sum::<f64>();
-    let fastest = state.velocities.iter().map(|v| v.norm()).fold(0.0, f64::max);
-    let deviation = densities.iter().map(|rho| (rho - 1.0).abs()).fold(0.0, f64::max);
-    let rates = flow.momentum_rates();
+    let (sums, mass) = (Sums::of(rows, (c, gamma)), flow.mass());
+    let (kinetic, fastest) = (0.5 * mass * sums.squares, sums.largest_square.sqrt());
+    let rates = by_system.then(|| flow.momentum_rates());
+    let rate = |rate: fn(&MomentumRates<D>) -> Vector<f64, D>| {
+        rates.iter().flat_map(|rates| rate(rates).0).collect()
+    };
     Conservation {
         step: flow.steps(),
         time: flow.time(),
         kinetic_energy: kinetic,
-        total_energy: kinetic + internal,
+        total_energy: kinetic + mass * sums.internal_energy,
         max_mach: fastest / c,
-        max_density_deviation: deviation,
-        momentum: momentum(mass, &state.velocities).0.to_vec(),
-        momentum_pressure: rates.pressure.0.to_vec(),
-        momentum_viscosity: rates.viscosity.0.to_vec(),
-        momentum_forcing: rates.forcing.0.to_vec(),
+        max_density_deviation: sums.deviation,
+        momentum: (sums.velocity * mass).0.to_vec(),
+        momentum_pressure: rate(|rates| rates.pressure),
+        momentum_viscosity: rate(|rates| rates.viscosity),
+        momentum_forcing: rate(|rates| rates.forcing),
         courant: flow.dt() * (c + fastest) / flow.smoothing_length(),
+    }
+}
+
+/// What is summed over particles in one pass, chunk by chunk, so that the sums do not depend on threads.
+#[derive(Clone, Copy, Debug)]
+struct Sums<const D: usize> {
+    /// `Σ v`.
+    velocity: Vector<f64, D>,
+    /// `Σ |v|²`.
+    squares: f64,
+    /// Largest `|v|²`.
+    largest_square: f64,
+    /// `Σ e(ρ)`.
+    internal_energy: f64,
+    /// Largest `|ρ − 1|`.
+    deviation: f64,
+}
+
+impl<const D: usize> Sums<D> {
+    const NOTHING: Self = Self {
+        velocity: Vector([0.0; D]),
+        squares: 0.0,
+        largest_square: 0.0,
+        internal_energy: 0.0,
+        deviation: 0.0,
+    };
+
+    fn of(rows: &Rows<'_, D>, (c, gamma): (f64, f64)) -> Self {
+        let velocities = rows.velocities.par_chunks(CHUNK);
+        let parts = velocities.zip(rows.densities.par_chunks(CHUNK)).map(|(v, rho)| {
+            let mut sums = Self::NOTHING;
+            v.iter().for_each(|v| sums.see_velocity(v.0));
+            rho.iter().for_each(|rho| sums.deviation = sums.deviation.max((rho.0 - 1.0).abs()));
+            sums.internal_energy = internal_energies(rho.iter().map(|rho| rho.0), c, gamma);
+            sums
+        });
+        let parts: Vec<Self> = parts.collect();
+        parts.into_iter().fold(Self::NOTHING, Self::and)
+    }
+
+    fn see_velocity(&mut self, velocity: Vector<f64, D>) {
+        let square = velocity.norm_squared();
+        self.velocity += velocity;
+        self.squares += square;
+        self.largest_square = self.largest_square.max(square);
+    }
+
+    fn and(mut self, other: Self) -> Self {
+        self.velocity += other.velocity;
+        self.squares += other.squares;
+        self.largest_square = self.largest_square.max(other.largest_square);
+        self.internal_energy += other.internal_energy;
+        self.deviation = self.deviation.max(other.deviation);
+        self
     }
 }
 

@@ -89,7 +89,7 @@ impl<const D: usize> Setting<D> {
     fn recorded(&self, folder: &std::path::Path) -> Run<'_> {
         let mut flow = Flow::<D>::from_state(&self.scene, &self.start).unwrap();
         let (path, info) = (folder.join("flow.mcap"), run_info(&self.scene, "measure"));
-        let steps = (self.steps(), 1);
+        let steps = (self.steps(), &self.scene.record);
         Box::new(move || {
             flow.reset(&self.start);
             let mut recorder = Recorder::create(&path, &info).unwrap();
