@@ -110,12 +110,9 @@ impl Chunk {
         self.index[place] as usize
     }
 
-    /// The place in the lists at which the chunk's `k`-th slot has the slot `other`.
-    #[inline(always)]
-    pub fn place_of(&self, k: usize, other: usize) -> Option<usize> {
-        let list = &self.index[self.start[k] as usize..self.start[k + 1] as usize];
-        let found = list.iter().position(|&slot| slot == other as u32)?;
-        Some(self.start[k] as usize + found)
+    /// The slots at all places in the lists.
+    pub fn slots(&self) -> &[u32] {
+        &self.index
     }
 
     /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has

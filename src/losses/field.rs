@@ -1,6 +1,7 @@
 //! The field loss `L_f`: the smoothed velocity field on a mesh, against the truth's.
 
-use super::mesh::{Mesh, Nearby};
+use super::mesh::Mesh;
+use super::rows::{Lattice, Rows, load_at, store_at};
 use super::{SquareSum, StateAdjoint};
 use crate::cells::Cells;
 use crate::kernel::{Kernel, Smoothing};
@@ -10,9 +11,16 @@ use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Nodes per parallel task: fixed, so that sums have the same bits for any number of threads.
 const CHUNK: usize = 256;
+
+/// Fewest planes of nodes that a task finds the field on: a particle is seen by all tasks that it reaches.
+const FEWEST_PLANES: usize = 4;
+
+/// Fewest nodes of such a task.
+const FEWEST_NODES: usize = 1024;
 
 /// Particles as a field sees them.
 #[derive(Clone, Copy, Debug)]
@@ -110,17 +118,6 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         }
     }
 
-    /// `V(x) = Σⱼ (m/ρⱼ) vⱼ W(|x − rⱼ|; h)`, Eq. (13).
-    #[inline(always)]
-    fn velocity<W: Wide>(&self, x: Vector<f64, D>, near: &mut Chunk) -> Vector<f64, D> {
-        let mut sum = Vector::<W::Double, D>::zero();
-        for slots in self.find::<W>(x, near) {
-            let seen = self.see::<W>(x, slots);
-            sum += seen.velocity * seen.weight;
-        }
-        sum_lanes(&sum)
-    }
-
     /// `V(x)`, and into `columns[b·D + axis]` its derivative by the parameters of block `b`:
     /// `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
     #[inline(always)]
@@ -211,35 +208,126 @@ fn add_columns<W: Wide, const D: usize>(
     }
 }
 
-/// The field at consecutive nodes.
-struct FieldPass<'a, K, const D: usize> {
-    search: &'a Search<'a, K, D>,
-    mesh: &'a Mesh<D>,
-    first: usize,
+/// Particles by the first plane of nodes that they touch, in slot order.
+struct Bins {
+    /// Where each plane's particles start in `slots`; one more at the end.
+    start: Vec<u32>,
+    slots: Vec<u32>,
+}
+
+impl Bins {
+    /// Counting sort.
+    fn new<const D: usize>(lattice: &Lattice<D>, packed: &[Packed]) -> Self {
+        let plane = |p: &Packed| lattice.first(p.position[D - 1]);
+        let planes: Vec<usize> = packed.par_iter().with_min_len(CHUNK).map(plane).collect();
+        let mut start = vec![0; lattice.per_axis + 1];
+        planes.iter().for_each(|&plane| start[plane + 1] += 1);
+        for plane in 0..lattice.per_axis {
+            start[plane + 1] += start[plane];
+        }
+        let (mut next, mut slots) = (start.clone(), vec![0; packed.len()]);
+        for (slot, &plane) in planes.iter().enumerate() {
+            slots[next[plane] as usize] = slot as u32;
+            next[plane] += 1;
+        }
+        Self { start, slots }
+    }
+
+    /// The particles whose first plane this is.
+    #[inline(always)]
+    fn of(&self, plane: usize) -> &[u32] {
+        &self.slots[self.start[plane] as usize..self.start[plane + 1] as usize]
+    }
+}
+
+/// The field at the nodes of consecutive planes: every particle in reach gives to its rows of nodes.
+struct GivePass<'a, K, const D: usize> {
+    points: &'a Points<'a, K, D>,
+    lattice: Lattice<D>,
+    bins: &'a Bins,
+    planes: Range<usize>,
     values: &'a mut [Vector<f64, D>],
 }
 
-impl<K: Kernel, const D: usize> Pass for FieldPass<'_, K, D> {
+impl<K: Kernel, const D: usize> Pass for GivePass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let mut near = Chunk::default();
-        for (k, value) in self.values.iter_mut().enumerate() {
-            *value = self.search.velocity::<W>(self.mesh.node(self.first + k), &mut near);
+        let Self { points, lattice, bins, planes, values } = self;
+        let n = lattice.per_axis;
+        let numbers = planes.len() * lattice.rows_per_plane() * lattice.width;
+        let mut columns = [(); D].map(|()| vec![0.0; numbers]);
+        let mut rows = Rows::new(lattice);
+        // From the first plane on of which particles reach these.
+        let from = planes.start + n - (lattice.most - 1);
+        for number in 0..(planes.len() + lattice.most - 1).min(n) {
+            for &slot in bins.of((from + number) % n) {
+                let place = Vector::from_3d(points.packed[slot as usize].position);
+                rows.add::<W>(slot as usize, &lattice.block(place), &planes);
+                if rows.is_full() {
+                    Self::give::<W>(points, &mut rows, &mut columns);
+                }
+            }
+        }
+        Self::give::<W>(points, &mut rows, &mut columns);
+        for (axis, column) in columns.iter().enumerate() {
+            fold(column, &lattice, |node, x| values[node][axis] += x);
         }
     }
 }
 
-/// The smoothed velocity field on a mesh, node by node.
+/// Brings the numbers of whole rows to their nodes.
+#[inline(always)]
+fn fold<const D: usize>(column: &[f64], lattice: &Lattice<D>, mut add: impl FnMut(usize, f64)) {
+    for (row, numbers) in column.chunks_exact(lattice.width).enumerate() {
+        let mut along = 0;
+        for &x in numbers {
+            add(row * lattice.per_axis + along, x);
+            along = if along + 1 == lattice.per_axis { 0 } else { along + 1 };
+        }
+    }
+}
+
+impl<K: Kernel, const D: usize> GivePass<'_, K, D> {
+    /// `V += (m/ρⱼ) vⱼ W` at the nodes of all rows, and no row is left.
+    #[inline(always)]
+    fn give<W: Wide>(points: &Points<'_, K, D>, rows: &mut Rows<D>, columns: &mut [Vec<f64>; D]) {
+        rows.find_weights::<W, K>(points.smoothing);
+        for k in 0..rows.len() {
+            let (slot, own) = rows.of(k);
+            let particle = &points.packed[slot];
+            let volume = points.mass / particle.density;
+            for row in own {
+                let weight = rows.weights::<W>(row);
+                for axis in 0..D {
+                    let given = weight * (particle.velocity[axis] * volume);
+                    let sum = load_at::<W>(&columns[axis], row.node) + given;
+                    store_at(&mut columns[axis], row.node, sum);
+                }
+            }
+        }
+        rows.clear();
+    }
+}
+
+/// The smoothed velocity field on a mesh, node by node: `V(x) = Σⱼ (m/ρⱼ) vⱼ W(|x − rⱼ|; h)`, Eq. (13).
 pub fn field<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
 ) -> Vec<Vector<f64, D>> {
-    let search = &Search::new(points);
     let mut nodes = vec![Vector::zero(); mesh.len()];
-    nodes.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, values)| {
-        dispatch(FieldPass { search, mesh, first: chunk * CHUNK, values });
+    if mesh.is_empty() {
+        return nodes;
+    }
+    let lattice = Lattice::new(mesh, points.smoothing.support());
+    let bins = &Bins::new(&lattice, points.packed);
+    let plane = mesh.len() / mesh.per_axis;
+    let planes = FEWEST_PLANES.max(FEWEST_NODES.div_ceil(plane)).min(mesh.per_axis);
+    nodes.par_chunks_mut(planes * plane).enumerate().for_each(|(task, values)| {
+        let first = task * planes;
+        let planes = first..first + values.len() / plane;
+        dispatch(GivePass { points, lattice, bins, planes, values });
     });
     nodes
 }
@@ -284,6 +372,11 @@ pub fn field_loss<K: Kernel, const D: usize>(
     blocks: &[&[PackedSensitivity<D>]],
     (truth, weight): (&[Vector<f64, D>], f64),
 ) -> SquareSum {
+    let mut sum = SquareSum::new(blocks.len());
+    if blocks.is_empty() {
+        sum.value = field_value(mesh, points, (truth, weight));
+        return sum;
+    }
     let weight = weight / (mesh.len() * D) as f64;
     let search = &Search::new(points);
     let part = |(chunk, truth): (usize, &[Vector<f64, D>])| {
@@ -291,13 +384,24 @@ pub fn field_loss<K: Kernel, const D: usize>(
         dispatch(LossPass { search, mesh, blocks, first, truth, weight })
     };
     let parts: Vec<SquareSum> = truth.par_chunks(CHUNK).enumerate().map(part).collect();
-    let mut sum = SquareSum::new(blocks.len());
     parts.iter().for_each(|part| sum.merge(part));
     sum
 }
 
+/// The value of [`field_loss`] alone.
+pub fn field_value<K: Kernel, const D: usize>(
+    mesh: &Mesh<D>,
+    points: &Points<'_, K, D>,
+    (truth, weight): (&[Vector<f64, D>], f64),
+) -> f64 {
+    let weight = weight / (mesh.len() * D) as f64;
+    let nodes = field(mesh, points);
+    let squares = nodes.iter().zip(truth).map(|(&v, &expected)| (v - expected).norm_squared());
+    squares.fold(0.0, |sum, square| sum + weight * square)
+}
+
 /// The value of [`field_loss`], and its derivative by each particle's position (at fixed density),
-/// velocity and density: each particle gathers from the nodes in its reach.
+/// velocity and density: each particle takes from the nodes in its reach.
 pub fn field_adjoint<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
@@ -311,72 +415,99 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
         adjoint.value += weight * difference.norm_squared();
         *node = difference * (2.0 * weight);
     }
+    if mesh.is_empty() {
+        return adjoint;
+    }
+    let lattice = Lattice::new(mesh, points.smoothing.support());
+    let nodes = &unfold(&nodes, &lattice);
     let columns =
         adjoint.position.par_chunks_mut(CHUNK).zip(adjoint.velocity.par_chunks_mut(CHUNK));
     let columns = columns.zip(adjoint.density.par_chunks_mut(CHUNK));
     let chunks = columns.zip(points.packed.par_chunks(CHUNK));
     chunks.for_each(|(((position, velocity), density), particles)| {
         let into = (position, velocity, density);
-        dispatch(GatherPass { points, mesh, nodes: &nodes, particles, into });
+        dispatch(TakePass { points, lattice, nodes, particles, into });
     });
     adjoint
 }
 
-/// What particles take from `∂L/∂V` on the nodes: `∂L/∂r`, `∂L/∂v`, `∂L/∂ρ`.
-struct GatherPass<'a, K, const D: usize> {
+/// The numbers of all nodes in rows that carry their beginning again behind their end, axis by axis.
+fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Vec<f64>; D] {
+    let rows = nodes.len() / lattice.per_axis;
+    let mut columns = [(); D].map(|()| Vec::with_capacity(rows * lattice.width));
+    for (axis, column) in columns.iter_mut().enumerate() {
+        for row in nodes.chunks_exact(lattice.per_axis) {
+            column.extend(row.iter().cycle().take(lattice.width).map(|node| node[axis]));
+        }
+    }
+    columns
+}
+
+/// What particles take from `λ = ∂L/∂V` on the nodes, with `s = λ·vⱼ` and `x − rⱼ` from particle to node:
+/// `∂L/∂vⱼ = (m/ρⱼ) Σ λ W`, `∂L/∂rⱼ = −(m/ρⱼ) Σ s G (x − rⱼ)`, `∂L/∂ρⱼ = −(m/ρⱼ²) Σ s W`.
+struct TakePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    mesh: &'a Mesh<D>,
-    nodes: &'a [Vector<f64, D>],
+    lattice: Lattice<D>,
+    nodes: &'a [Vec<f64>; D],
     particles: &'a [Packed],
     into: (&'a mut [Vector<f64, D>], &'a mut [Vector<f64, D>], &'a mut [f64]),
 }
 
-impl<K: Kernel, const D: usize> Pass for GatherPass<'_, K, D> {
+impl<K: Kernel, const D: usize> Pass for TakePass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { points, mesh, nodes, particles, into: (position, velocity, density) } = self;
-        let mut near = Nearby::new();
-        for (k, particle) in particles.iter().enumerate() {
-            let taken = Self::gather::<W>((points, mesh, nodes), particle, &mut near);
-            (position[k], velocity[k], density[k]) = taken;
+    fn run<W: Wide>(mut self) {
+        let planes = 0..self.lattice.per_axis;
+        let mut rows = Rows::new(self.lattice);
+        for (k, particle) in self.particles.iter().enumerate() {
+            let block = self.lattice.block(Vector::from_3d(particle.position));
+            rows.add::<W>(k, &block, &planes);
+            if rows.is_full() {
+                self.take::<W>(&mut rows);
+            }
         }
+        self.take::<W>(&mut rows);
     }
 }
 
-impl<K: Kernel, const D: usize> GatherPass<'_, K, D> {
-    /// What one particle takes.
+impl<K: Kernel, const D: usize> TakePass<'_, K, D> {
+    /// What the particles of all rows take, and no row is left.
     #[inline(always)]
-    fn gather<W: Wide>(
-        (points, mesh, nodes): (&Points<'_, K, D>, &Mesh<D>, &[Vector<f64, D>]),
-        particle: &Packed,
-        near: &mut Nearby<D>,
-    ) -> (Vector<f64, D>, Vector<f64, D>, f64) {
+    fn take<W: Wide>(&mut self, rows: &mut Rows<D>) {
+        rows.find_weights_and_pulls::<W, K>(self.points.smoothing);
+        for k in 0..rows.len() {
+            self.take_one::<W>(rows, k);
+        }
+        rows.clear();
+    }
+
+    /// What the `k`-th particle of some rows takes.
+    #[inline(always)]
+    fn take_one<W: Wide>(&mut self, rows: &Rows<D>, k: usize) {
+        let (number, own) = rows.of(k);
+        let particle = &self.particles[number];
         let mut position = Vector::<W, D>::zero();
         let (mut velocity, mut density) = (position, W::of(0.0));
-        let Points { smoothing, mass, .. } = points;
-        let volume = mass / particle.density;
-        mesh.around(Vector::from_3d(particle.position), smoothing.support(), near);
-        for (number, eight) in near.nodes.as_chunks::<WIDTH>().0.iter().enumerate() {
-            let (mut apart, mut cotangent) = (Vector::<W, D>::zero(), Vector::<W, D>::zero());
+        for row in own {
+            let (weight, pull) = (rows.weights::<W>(row), rows.pulls::<W>(row));
+            let mut cotangent = Vector::<W, D>::zero();
             let mut along = W::of(0.0);
             for axis in 0..D {
-                apart[axis] = W::load(&Lanes::new(near.apart[axis].as_chunks().0[number]));
-                let mut there = Lanes::ZERO;
-                for (lane, &node) in eight.iter().enumerate() {
-                    there.set_lane(lane, nodes[node][axis]);
-                }
-                cotangent[axis] = W::load(&there);
+                cotangent[axis] = load_at(&self.nodes[axis], row.node);
                 along += cotangent[axis] * particle.velocity[axis];
             }
-            // Zero for nodes out of reach.
-            let distance = apart.norm_squared().sqrt();
-            let weight = smoothing.value(distance) * volume;
+            let pull = pull * along;
+            position[0] -= pull * rows.along::<W>(row);
+            for axis in 1..D {
+                position[axis] -= pull * row.apart[axis];
+            }
             velocity += cotangent * weight;
-            position -= apart * (smoothing.gradient(distance) * volume * along);
             density -= weight * along;
         }
-        (sum_lanes(&position), sum_lanes(&velocity), density.sum() / particle.density)
+        let volume = self.points.mass / particle.density;
+        self.into.0[number] = sum_lanes(&position) * volume;
+        self.into.1[number] = sum_lanes(&velocity) * volume;
+        self.into.2[number] = density.sum() * volume / particle.density;
     }
 }

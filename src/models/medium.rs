@@ -75,13 +75,13 @@ impl<const D: usize> Medium<D> {
     pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T> {
         let by = self.viscosity();
         let r = pair.r2.sqrt();
-        let pull = self.smoothing.gradient(r) * -self.mass;
+        let [gradient, curvature] = self.smoothing.slopes(r);
+        let pull = gradient * -self.mass;
         let viscous = monaghan_gradient(pair, self.smoothing.h, &by);
         let total = stresses + viscous.value;
         Strength {
             value: total * pull,
-            by_separation: total * self.smoothing.curvature(r) * -self.mass
-                + viscous.by_r2 * pull * 2.0,
+            by_separation: total * curvature * -self.mass + viscous.by_r2 * pull * 2.0,
             by_approach: viscous.by_approach * pull,
             by_stress: pull,
             by_density: viscous.by_density * pull,
