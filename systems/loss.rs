@@ -166,13 +166,13 @@ pub fn accumulate_loss_adjoint<const D: usize>(
     mut loss: ResMut<LossSum>,
 ) {
     let Some(share) = observations.share(clock.step) else { return };
-    let mut adjoint = StateAdjoint::zero(cloud.len());
+    let mut adjoint = None;
     if share.trajectory > 0.0 {
         let truth = share.truth(&neighbours.cells.row_of_slot);
         let part =
             trajectory_adjoint(cloud.particles(), truth, (neighbours.space, share.trajectory));
         loss.trajectory.value += part.value;
-        adjoint.merge(&part);
+        add(&mut adjoint, part);
     }
     if share.field > 0.0 {
         let points = points(law.0.medium(), &neighbours, &cloud);
@@ -180,7 +180,7 @@ pub fn accumulate_loss_adjoint<const D: usize>(
         if tape.running {
             let part = field_adjoint(mesh, &points, truth);
             loss.field.value += part.value;
-            adjoint.merge(&part);
+            add(&mut adjoint, part);
         } else {
             loss.field.value += field_value(mesh, &points, truth);
         }
@@ -189,10 +189,18 @@ pub fn accumulate_loss_adjoint<const D: usize>(
         let particles = (cloud.particles(), &cloud.slot_of_row[..]);
         let part = statistical_adjoint(particles, share.start, truth);
         loss.kl.value += part.value;
-        adjoint.merge(&part);
+        add(&mut adjoint, part);
     }
-    if tape.running {
+    if let Some(adjoint) = adjoint.filter(|_| tape.running) {
         tape.push_frame(clock.step, &adjoint, &cloud.slot_of_row);
+    }
+}
+
+/// Adds a part to a loss that may have none yet.
+fn add<const D: usize>(sum: &mut Option<StateAdjoint<D>>, part: StateAdjoint<D>) {
+    match sum {
+        Some(sum) => sum.merge(&part),
+        None => *sum = Some(part),
     }
 }
 

@@ -8,7 +8,8 @@
 use super::Mesh;
 use crate::kernel::{Kernel, Smoothing};
 use crate::network::COUNT;
-use crate::scalar::{Lanes, WIDTH, Wide};
+use crate::packed::Packed;
+use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use crate::vector::Vector;
 use std::ops::Range;
 
@@ -108,12 +109,20 @@ impl<const D: usize> Lattice<D> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row<const D: usize> {
     /// Place of the first among the numbers of a lattice.
-    pub(super) node: usize,
+    node: u32,
     /// Place of the first among the squares.
-    entry: usize,
-    count: usize,
+    entry: u32,
+    count: u32,
     /// The first node less the particle's place.
-    pub(super) apart: Vector<f64, D>,
+    pub(super) apart: [f64; D],
+}
+
+impl<const D: usize> Row<D> {
+    /// Place of the first node among the numbers of a lattice.
+    #[inline(always)]
+    pub(super) fn node(&self) -> usize {
+        self.node as usize
+    }
 }
 
 /// The rows of a few particles.
@@ -122,8 +131,8 @@ pub(super) struct Rows<const D: usize> {
     lattice: Lattice<D>,
     rows: Vec<Row<D>>,
     /// Particles, and where the rows of each end.
-    ends: Vec<(usize, usize)>,
-    /// Squares of distances, without gaps; then kernels.
+    ends: Vec<(u32, u32)>,
+    /// Squares of distances, without gaps; then `W`.
     squares: Vec<f64>,
     filled: usize,
     /// `G` where it is asked for.
@@ -137,97 +146,37 @@ impl<const D: usize> Rows<D> {
         Self { lattice, rows: Vec::new(), ends: Vec::new(), squares, filled: 0, pulls }
     }
 
+    /// Adds the rows of particles that lie within some planes, whose nodes are numbered from the first on,
+    /// as long as there is room; how many there was room for.
+    pub(super) fn add(&mut self, packed: &[Packed], slots: &[u32], planes: &Range<usize>) -> usize {
+        dispatch(FindPass { rows: self, packed, slots, planes: planes.clone() })
+    }
+
     /// Whether there is no room for another particle.
-    #[inline(always)]
     pub(super) fn is_full(&self) -> bool {
         self.filled >= GROUP
     }
 
     /// Forgets all rows.
-    #[inline(always)]
     pub(super) fn clear(&mut self) {
         self.rows.clear();
         self.ends.clear();
         self.filled = 0;
     }
 
-    /// Adds the rows of a particle that lie within some planes, whose nodes are numbered from the first on.
-    #[inline(always)]
-    pub(super) fn add<W: Wide>(
-        &mut self,
-        particle: usize,
-        block: &Block<D>,
-        planes: &Range<usize>,
-    ) {
-        let Lattice { per_axis, spacing, .. } = self.lattice;
-        let lines = if D == 2 { 1 } else { block.count[1] };
-        for number in 0..block.count[D - 1] {
-            let plane = wrap(block.first[D - 1] + number, per_axis);
-            if !planes.contains(&plane) {
-                continue;
-            }
-            let mut apart = block.apart;
-            apart[D - 1] += number as f64 * spacing;
-            let mut row = plane - planes.start;
-            for line in 0..lines {
-                if D > 2 {
-                    apart[1] = block.apart[1] + line as f64 * spacing;
-                    row = (plane - planes.start) * per_axis + wrap(block.first[1] + line, per_axis);
-                }
-                self.add_row::<W>(row, apart, block);
-            }
-        }
-        self.ends.push((particle, self.rows.len()));
+    /// `W` in place of the squares.
+    pub(super) fn find_weights<K: Kernel>(&mut self, smoothing: &Smoothing<K, D>) {
+        let Self { squares, filled, .. } = self;
+        let whole = filled.next_multiple_of(WIDTH);
+        dispatch(WeightPass { smoothing, squares: &mut squares[..whole], pulls: &mut [] });
     }
 
-    /// Adds a row of nodes, unless it passes out of reach.
-    #[inline(always)]
-    fn add_row<W: Wide>(&mut self, row: usize, mut apart: Vector<f64, D>, block: &Block<D>) {
-        let Lattice { width, spacing, reach, .. } = self.lattice;
-        let mut square = 0.0;
-        for axis in 1..D {
-            square += apart[axis] * apart[axis];
-        }
-        if square >= reach * reach {
-            return;
-        }
-        let mut along = 0;
-        while along < block.count[0] {
-            let count = (block.count[0] - along).min(WIDTH);
-            apart[0] = block.apart[0] + along as f64 * spacing;
-            let x = W::load(&COUNT) * spacing + apart[0];
-            store_at(&mut self.squares, self.filled, x * x + square);
-            let node = row * width + block.first[0] + along;
-            self.rows.push(Row { node, entry: self.filled, count, apart });
-            self.filled += count;
-            along += WIDTH;
-        }
-    }
-
-    /// Kernels in place of the squares.
-    #[inline(always)]
-    pub(super) fn find_weights<W: Wide, K: Kernel>(&mut self, smoothing: &Smoothing<K, D>) {
-        let mut place = 0;
-        while place < self.filled {
-            let r = load_at::<W>(&self.squares, place).sqrt();
-            store_at(&mut self.squares, place, smoothing.value(r));
-            place += WIDTH;
-        }
-    }
-
-    /// The same, and their gradients.
-    #[inline(always)]
-    pub(super) fn find_weights_and_pulls<W: Wide, K: Kernel>(
-        &mut self,
-        smoothing: &Smoothing<K, D>,
-    ) {
-        let mut place = 0;
-        while place < self.filled {
-            let r = load_at::<W>(&self.squares, place).sqrt();
-            store_at(&mut self.squares, place, smoothing.value(r));
-            store_at(&mut self.pulls, place, smoothing.gradient(r));
-            place += WIDTH;
-        }
+    /// The same, and `G`.
+    pub(super) fn find_weights_and_pulls<K: Kernel>(&mut self, smoothing: &Smoothing<K, D>) {
+        let Self { squares, filled, pulls, .. } = self;
+        let whole = filled.next_multiple_of(WIDTH);
+        let (squares, pulls) = (&mut squares[..whole], &mut pulls[..whole]);
+        dispatch(WeightPass { smoothing, squares, pulls });
     }
 
     /// How many particles there are.
@@ -241,25 +190,123 @@ impl<const D: usize> Rows<D> {
     pub(super) fn of(&self, k: usize) -> (usize, &[Row<D>]) {
         let first = if k == 0 { 0 } else { self.ends[k - 1].1 };
         let (particle, end) = self.ends[k];
-        (particle, &self.rows[first..end])
+        (particle as usize, &self.rows[first as usize..end as usize])
     }
 
     /// `W` of the nodes of a row, zero behind them.
     #[inline(always)]
     pub(super) fn weights<W: Wide>(&self, row: &Row<D>) -> W {
-        load_at::<W>(&self.squares, row.entry) * W::load(&MASKS[row.count])
+        load_at::<W>(&self.squares, row.entry as usize) * W::load(&MASKS[row.count as usize])
     }
 
     /// `G` of the nodes of a row, zero behind them.
     #[inline(always)]
     pub(super) fn pulls<W: Wide>(&self, row: &Row<D>) -> W {
-        load_at::<W>(&self.pulls, row.entry) * W::load(&MASKS[row.count])
+        load_at::<W>(&self.pulls, row.entry as usize) * W::load(&MASKS[row.count as usize])
     }
 
     /// How far along the row its nodes are from the particle.
     #[inline(always)]
     pub(super) fn along<W: Wide>(&self, row: &Row<D>) -> W {
         W::load(&COUNT) * self.lattice.spacing + row.apart[0]
+    }
+}
+
+// Each of these is a pass of its own, so that its few numbers stay in registers.
+
+/// See [`Rows::add`].
+struct FindPass<'a, const D: usize> {
+    rows: &'a mut Rows<D>,
+    packed: &'a [Packed],
+    slots: &'a [u32],
+    planes: Range<usize>,
+}
+
+impl<const D: usize> Pass for FindPass<'_, D> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn run<W: Wide>(self) -> usize {
+        let Self { rows, packed, slots, planes } = self;
+        let lattice = rows.lattice;
+        for (number, &slot) in slots.iter().enumerate() {
+            if rows.filled >= GROUP {
+                return number;
+            }
+            let block = lattice.block(Vector::from_3d(packed[slot as usize].position));
+            let mut along = 0;
+            while along < block.count[0] {
+                rows.add_rows::<W>(&block, along, &planes);
+                along += WIDTH;
+            }
+            rows.ends.push((slot, rows.rows.len() as u32));
+        }
+        slots.len()
+    }
+}
+
+impl<const D: usize> Rows<D> {
+    /// Adds a block's rows from some node on, [`WIDTH`] nodes at most, unless they pass out of reach.
+    #[inline(always)]
+    fn add_rows<W: Wide>(&mut self, block: &Block<D>, along: usize, planes: &Range<usize>) {
+        let Lattice { per_axis, width, spacing, reach, .. } = self.lattice;
+        let count = (block.count[0] - along).min(WIDTH);
+        let first = block.first[0] + along;
+        let mut apart = block.apart.0;
+        apart[0] += along as f64 * spacing;
+        let x = W::load(&COUNT) * spacing + apart[0];
+        let squares = x * x;
+        let mut filled = self.filled;
+        // In 2D a plane is one row.
+        let lines = if D == 2 { 1 } else { block.count[1] };
+        for plane in 0..block.count[D - 1] {
+            let number = wrap(block.first[D - 1] + plane, per_axis);
+            if !planes.contains(&number) {
+                continue;
+            }
+            apart[D - 1] = block.apart[D - 1] + plane as f64 * spacing;
+            let plane_square = apart[D - 1] * apart[D - 1];
+            for line in 0..lines {
+                let (mut row, mut square) = (number - planes.start, plane_square);
+                if D > 2 {
+                    row = row * per_axis + wrap(block.first[1] + line, per_axis);
+                    apart[1] = block.apart[1] + line as f64 * spacing;
+                    square += apart[1] * apart[1];
+                }
+                if square < reach * reach {
+                    store_at(&mut self.squares, filled, squares + square);
+                    let (node, entry) = ((row * width + first) as u32, filled as u32);
+                    self.rows.push(Row { node, entry, count: count as u32, apart });
+                    filled += count;
+                }
+            }
+        }
+        self.filled = filled;
+    }
+}
+
+/// Kernels of squares of distances, and their gradients where there is room for them.
+struct WeightPass<'a, K, const D: usize> {
+    smoothing: &'a Smoothing<K, D>,
+    squares: &'a mut [f64],
+    pulls: &'a mut [f64],
+}
+
+impl<K: Kernel, const D: usize> Pass for WeightPass<'_, K, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { smoothing, squares, pulls } = self;
+        let mut place = 0;
+        while place < squares.len() {
+            let r = load_at::<W>(squares, place).sqrt();
+            store_at(squares, place, smoothing.value(r));
+            if !pulls.is_empty() {
+                store_at(pulls, place, smoothing.gradient(r));
+            }
+            place += WIDTH;
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
-use super::{CentralSlope, Parameters};
+use super::{CentralSlope, PairCotangent, Parameters};
 use crate::kernel::{KernelName, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::scalar::{Scalar, Wide};
@@ -94,6 +94,19 @@ impl<const D: usize> Medium<D> {
     pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
+    }
+
+    /// The pullback of the force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    #[inline(always)]
+    pub fn pullback<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
+    ) -> PairCotangent<W, D> {
+        let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
+        let (mut cotangent, along) = s.pullback(pairs, force);
+        cotangent.stress = [s.by_stress * along; 2];
+        cotangent
     }
 
     /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.

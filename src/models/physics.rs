@@ -1,6 +1,6 @@
 //! The fully physics-informed model, Eq. (7): smoothed particle hydrodynamics itself.
 
-use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, StressSlope};
+use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, StressSlope};
 use crate::network::exp;
 use crate::pairs::Batch;
 use crate::scalar::{Lanes, Scalar, Wide};
@@ -64,7 +64,7 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
         force: Vector<W, D>,
         _: &mut Room,
     ) -> PairCotangent<W, D> {
-        self.0.slope(pairs).pullback(force)
+        self.0.pullback(pairs, force)
     }
 }
 
