@@ -26,6 +26,8 @@ pub trait Kernel: Copy + Default + Send + Sync + 'static {
     fn gradient<T: Scalar>(&self, q: T) -> T;
     /// `k(q) = g'(q)/q`, with `q` kept away from zero where that is singular.
     fn curvature<T: Scalar>(&self, q: T) -> T;
+    /// `g(q)` and `k(q)` at once, for less than both.
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2];
 }
 
 /// Below this `q` a singular curvature is held: its factors `r²` have long underflowed to nothing.
@@ -61,6 +63,17 @@ impl Kernel for CubicSpline {
         let under = inside(q.max(T::smallest(SMALLEST_Q)), q * q * q);
         inside(T::of(2.25), outer * (q + 2.0) * 0.75) / under
     }
+
+    #[inline(always)]
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+        let outer = (T::of(2.0) - q).max(T::of(0.0));
+        let inside = |yes: T, no: T| T::select_less(q, T::of(1.0), yes, no);
+        // One division for both.
+        let inverse = T::of(1.0) / q.max(T::smallest(SMALLEST_Q));
+        let gradient = inside(q * 2.25 - 3.0, outer * outer * inverse * -0.75);
+        let beyond = outer * (q + 2.0) * 0.75 * (inverse * inverse);
+        [gradient, inside(T::of(2.25), beyond) * inverse]
+    }
 }
 
 /// Wendland's C² function, `w = (1−q/2)₊⁴ (1+2q)`: no pairing instability (Dehnen & Aly 2012).
@@ -89,6 +102,11 @@ impl Kernel for WendlandC2 {
     fn curvature<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         u * u * 7.5 / q.max(T::smallest(SMALLEST_Q))
+    }
+
+    #[inline(always)]
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+        [self.gradient(q), self.curvature(q)]
     }
 }
 
@@ -120,6 +138,11 @@ impl Kernel for WendlandC4 {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * 35.0
+    }
+
+    #[inline(always)]
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+        [self.gradient(q), self.curvature(q)]
     }
 }
 
@@ -178,6 +201,11 @@ impl Kernel for KernelName {
     fn curvature<T: Scalar>(&self, q: T) -> T {
         whichever!(self, curvature(q))
     }
+
+    #[inline(always)]
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+        whichever!(self, slopes(q))
+    }
 }
 
 /// A kernel `K` at a smoothing length `h` in dimension `D`.
@@ -229,5 +257,13 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
     pub fn curvature<T: Scalar>(&self, r: T) -> T {
         let inverse_h2 = self.inverse_h * self.inverse_h;
         self.shape.curvature(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
+    }
+
+    /// `[G(r), H(r)]`.
+    #[inline(always)]
+    pub fn slopes<T: Scalar>(&self, r: T) -> [T; 2] {
+        let inverse_h2 = self.inverse_h * self.inverse_h;
+        let [gradient, curvature] = self.shape.slopes(r * self.inverse_h);
+        [gradient * (self.scale * inverse_h2), curvature * (self.scale * inverse_h2 * inverse_h2)]
     }
 }

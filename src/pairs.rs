@@ -116,12 +116,9 @@ impl Chunk {
         self.index[place] as usize
     }
 
-    /// The place in the lists at which the chunk's `k`-th slot has the slot `other`.
-    #[inline(always)]
-    pub fn place_of(&self, k: usize, other: usize) -> Option<usize> {
-        let list = &self.index[self.start[k] as usize..self.start[k + 1] as usize];
-        let found = list.iter().position(|&slot| slot == other as u32)?;
-        Some(self.start[k] as usize + found)
+    /// The slots at all places in the lists.
+    pub fn slots(&self) -> &[u32] {
+        &self.index
     }
 
     /// Becomes a copy of other lists. A first copy has just the room it needs; one that must grow takes a

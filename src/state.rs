@@ -16,6 +16,24 @@ pub fn stress<T: Scalar>(pressure: T, rho: T) -> T {
     pressure / (rho * rho)
 }
 
+/// The gradient of `A = P/ρ²` of Tait's fluid by `(ρ, c, γ)`, from `ln ρ` and `ρ^γ`, by hand: what
+/// [`crate::scalar::Dual`] numbers give (a test), without a power of its own.
+#[inline(always)]
+pub fn tait_stress_gradient<T: Scalar>(
+    (rho, logarithm, power): (T, T, T),
+    c: f64,
+    gamma: f64,
+) -> [T; 3] {
+    let inverse = T::of(1.0) / rho;
+    let (square, stiffness) = (inverse * inverse, c * c / gamma);
+    let compression = power - 1.0;
+    [
+        (power * gamma - compression * 2.0) * (square * inverse) * stiffness,
+        compression * square * (2.0 * c / gamma),
+        (power * logarithm - compression * (1.0 / gamma)) * square * stiffness,
+    ]
+}
+
 /// Specific internal energy of Tait's fluid, `e(ρ) = ∫ P/ρ² dρ` from `ρ₀ = 1`:
 /// `e = (c²/γ) [ρ^(γ−1)/(γ−1) + 1/ρ − γ/(γ−1)]`, and `c² (ln ρ + 1/ρ − 1)` where `γ = 1`.
 pub fn internal_energy(rho: f64, c: f64, gamma: f64) -> f64 {
@@ -70,6 +88,7 @@ fn power(x: Lanes, mut n: u32) -> Lanes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scalar::Dual;
 
     #[test]
     fn energy_is_the_integral_of_pressure_over_density_squared() {
@@ -92,6 +111,22 @@ mod tests {
             let expected: f64 = rho().map(|rho| internal_energy(rho, 3.0, gamma)).sum();
             let found = internal_energies(rho(), 3.0, gamma);
             assert!((found - expected).abs() < 1e-13 * (1.0 + expected), "{gamma}: {found}");
+        }
+    }
+
+    #[test]
+    fn the_gradient_by_hand_is_the_gradient_by_dual_numbers() {
+        let variable = |x, index| Dual::<f64, 3>::variable(x, index, [0.0; 3]);
+        for (c, gamma) in [(10.0, 7.0), (0.7, 1.0), (-3.0, 1.4), (0.0, 7.0)] {
+            for rho in [0.3_f64, 0.97, 1.0, 1.02, 2.5] {
+                let (r, by_c, by_gamma) = (variable(rho, 0), variable(c, 1), variable(gamma, 2));
+                let exact = stress(tait(r, by_c, by_gamma), r).gradient;
+                let found = tait_stress_gradient((rho, rho.ln(), rho.powf(gamma)), c, gamma);
+                let size = 1.0 + exact.iter().fold(0.0_f64, |size, x| size.max(x.abs()));
+                for (exact, found) in exact.into_iter().zip(found) {
+                    assert!((exact - found).abs() < 1e-14 * size, "{exact} {found}");
+                }
+            }
         }
     }
 

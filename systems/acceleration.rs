@@ -12,6 +12,7 @@ use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
+use std::sync::{Arc, Weak};
 
 /// The model that moves the particles of a World.
 #[derive(Resource, Debug)]
@@ -131,7 +132,8 @@ pub fn accelerate_pullback<const D: usize>(
     let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(&mut *shares);
     let pass = |(chunk, (((position, velocity), scalars), neighbours)): (&Chunk, ((_, _), _))| {
         let neighbours: &mut Vec<PairShare<D>> = neighbours;
-        neighbours.resize(if one_way { chunk.batches() } else { 0 }, PairShare::ZERO);
+        let places = if one_way { WIDTH * chunk.batches() } else { 0 };
+        neighbours.resize(places, PairShare::ZERO);
         let into = Passed { position, velocity, scalars, neighbours };
         rooms.enter(model.network(), |room| {
             room.clear();
@@ -144,29 +146,77 @@ pub fn accelerate_pullback<const D: usize>(
         parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
     }
     if one_way {
-        fetch_shares(&neighbours.chunks, adjoint);
+        adjoint.senders.find(&neighbours.chunks, cloud.len());
+        fetch_shares(adjoint);
     }
 }
 
 /// Each particle takes what its neighbours' forces have left for it.
-fn fetch_shares<const D: usize>(chunks: &[Chunk], adjoint: &mut AdjointCloud<D>) {
-    let AdjointCloud { position, velocity, scalars, shares, .. } = adjoint;
+fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
+    let AdjointCloud { position, velocity, scalars, shares, senders, .. } = adjoint;
     let rows = position.par_iter_mut().zip(velocity).zip(scalars).enumerate();
     rows.with_min_len(CHUNK).for_each(|(slot, ((position, velocity), scalars))| {
-        let own = &chunks[slot / CHUNK];
-        for &other in own.neighbours(slot % CHUNK).as_flattened() {
-            let (number, k) = (other as usize / CHUNK, other as usize % CHUNK);
-            // Nobody, behind the last, has no list.
-            let Some(chunk) = chunks.get(number).filter(|chunk| k < chunk.len()) else { continue };
-            let Some(place) = chunk.place_of(k, slot) else { continue };
-            let share = &shares[number][place / WIDTH];
-            let lane = place % WIDTH;
-            for axis in 0..D {
-                position[axis] += share.position[axis].lane(lane);
-                velocity[axis] += share.velocity[axis].lane(lane);
-            }
-            scalars.0 += share.stress.lane(lane);
-            scalars.1 += share.density.lane(lane);
+        for &[chunk, place] in senders.of(slot) {
+            let share = &shares[chunk as usize][place as usize];
+            *position += share.position;
+            *velocity += share.velocity;
+            scalars.0 += share.stress;
+            scalars.1 += share.density;
         }
     });
+}
+
+/// Who has each particle in a list, and where: the lists transposed, so that nobody searches.
+#[derive(Clone, Debug, Default)]
+pub struct Senders {
+    /// The lists that these belong to; they may be gone.
+    lists: Weak<Vec<Chunk>>,
+    /// Where each slot's senders start; one more at the end.
+    start: Vec<u32>,
+    /// Chunk and place in its lists, in the order of the senders' slots.
+    places: Vec<[u32; 2]>,
+}
+
+impl Senders {
+    /// Those of some lists of so many particles; nothing to do where they are known.
+    fn find(&mut self, lists: &Arc<Vec<Chunk>>, particles: usize) {
+        if !std::ptr::eq(self.lists.as_ptr(), Arc::as_ptr(lists)) {
+            self.lists = Arc::downgrade(lists);
+            self.transpose(lists, particles);
+        }
+    }
+
+    /// Counting sort of all places by the slot that they hold.
+    fn transpose(&mut self, lists: &[Chunk], particles: usize) {
+        self.start.clear();
+        self.start.resize(particles + 2, 0);
+        for &other in lists.iter().flat_map(Chunk::slots) {
+            // Nobody, behind the last, is counted behind the end.
+            self.start[other as usize + 1] += 1;
+        }
+        for slot in 0..particles {
+            self.start[slot + 1] += self.start[slot];
+        }
+        self.start.truncate(particles + 1);
+        self.places.resize(self.start[particles] as usize, [0; 2]);
+        for (number, chunk) in lists.iter().enumerate().rev() {
+            for (place, &other) in chunk.slots().iter().enumerate().rev() {
+                // Filling from the back turns each end into a start.
+                let Some(end) = self.start[1..].get_mut(other as usize) else { continue };
+                *end -= 1;
+                self.places[*end as usize] = [number as u32, place as u32];
+            }
+        }
+        self.start.remove(0);
+        self.start.push(self.places.len() as u32);
+    }
+
+    fn of(&self, slot: usize) -> &[[u32; 2]] {
+        &self.places[self.start[slot] as usize..self.start[slot + 1] as usize]
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * self.start.capacity() + 8 * self.places.capacity()
+    }
 }

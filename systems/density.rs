@@ -284,7 +284,7 @@ pub fn sum_density_pullback<const D: usize>(
 /// `(∂L/∂A, ∂L/∂ρ)` through the forces, and the particles.
 type Rows<'a> = (&'a [(f64, f64)], &'a [Packed]);
 
-/// `∂L/∂ρᵢ` of some particles, through their stress and besides, into `lines`; returns the sums over
+/// `∂L/∂ρᵢ` of some particles, through their stress and besides, added to `lines`; returns the sums over
 /// the parameters.
 fn pull_stress_back<const D: usize>(
     model: &dyn Model<D>,
@@ -302,7 +302,7 @@ fn pull_stress_back<const D: usize>(
         let mut by_stress = Lanes::ZERO;
         for (lane, (line, scalar)) in lines.iter_mut().zip(scalars).enumerate() {
             by_stress.set_lane(lane, scalar.0);
-            line.density = scalar.1 + scalar.0 * slope.by_density.lane(lane);
+            line.density += scalar.1 + scalar.0 * slope.by_density.lane(lane);
         }
         let (physical, learned) = sums.split_at_mut(Parameter::COUNT);
         for (sum, by) in physical.iter_mut().zip(slope.by_parameter) {
@@ -319,7 +319,7 @@ fn pull_stress_back<const D: usize>(
 }
 
 /// Adds to `∂L/∂r` what `∂L/∂ρ` makes of it, in cell order.
-pub fn pull_density_back<const D: usize>(
+fn pull_density_back<const D: usize>(
     neighbours: &Neighbours<D>,
     medium: &Medium<D>,
     (lines, adjoint): (Lines<'_>, &[PackedAdjoint]),

@@ -1,18 +1,17 @@
 //! Loss accumulation: at each observed step the flow is compared with the truth.
 
 use super::acceleration::Law;
-use super::density::pull_density_back;
 use super::neighbours::Neighbours;
 use super::particles::{Cloud, SensitivityCloud};
-use super::tape::{FrameAdjoint, Tape};
+use super::tape::Tape;
 use super::verlet::Clock;
 use crate::kernel::KernelName;
 use crate::losses::{
     GradientSum, IncrementDensities, Mesh, Points, SquareSum, StateAdjoint, field_adjoint,
-    field_loss, statistical_adjoint, statistical_loss, trajectory_adjoint, trajectory_loss,
+    field_loss, field_value, statistical_adjoint, statistical_loss, trajectory_adjoint,
+    trajectory_loss,
 };
 use crate::models::Medium;
-use crate::packed::PackedAdjoint;
 use crate::scene::Times;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -167,50 +166,42 @@ pub fn accumulate_loss_adjoint<const D: usize>(
     mut loss: ResMut<LossSum>,
 ) {
     let Some(share) = observations.share(clock.step) else { return };
-    let mut adjoint = StateAdjoint::zero(cloud.len());
+    let mut adjoint = None;
     if share.trajectory > 0.0 {
         let truth = share.truth(&neighbours.cells.row_of_slot);
         let part =
             trajectory_adjoint(cloud.particles(), truth, (neighbours.space, share.trajectory));
         loss.trajectory.value += part.value;
-        adjoint.merge(&part);
+        add(&mut adjoint, part);
     }
     if share.field > 0.0 {
         let points = points(law.0.medium(), &neighbours, &cloud);
-        let truth = (share.frame.field.as_slice(), share.field);
-        let part = field_adjoint(&observations.mesh, &points, truth);
-        loss.field.value += part.value;
-        adjoint.merge(&part);
-        pull_back_through_density(law.0.medium(), &neighbours, &cloud, &mut adjoint);
+        let (mesh, truth) = (&observations.mesh, (share.frame.field.as_slice(), share.field));
+        if tape.running {
+            let part = field_adjoint(mesh, &points, truth);
+            loss.field.value += part.value;
+            add(&mut adjoint, part);
+        } else {
+            loss.field.value += field_value(mesh, &points, truth);
+        }
     }
     if let Some(truth) = share.kl {
         let particles = (cloud.particles(), &cloud.slot_of_row[..]);
         let part = statistical_adjoint(particles, share.start, truth);
         loss.kl.value += part.value;
-        adjoint.merge(&part);
+        add(&mut adjoint, part);
     }
-    if !tape.running {
-        return;
+    if let Some(adjoint) = adjoint.filter(|_| tape.running) {
+        tape.push_frame(clock.step, &adjoint, &cloud.slot_of_row);
     }
-    let by_row = |column: &[Vector<f64, D>]| {
-        cloud.slot_of_row.iter().map(|&slot| column[slot as usize]).collect()
-    };
-    let (position, velocity) = (by_row(&adjoint.position), by_row(&adjoint.velocity));
-    tape.push_frame(FrameAdjoint { step: clock.step, position, velocity });
 }
 
-/// `∂L/∂r` through the densities, which the field's loss depends on.
-fn pull_back_through_density<const D: usize>(
-    medium: &Medium<D>,
-    neighbours: &Neighbours<D>,
-    cloud: &Cloud<D>,
-    adjoint: &mut StateAdjoint<D>,
-) {
-    let line = |&density: &f64| PackedAdjoint { density, ..PackedAdjoint::ZERO };
-    let mut lines: Vec<PackedAdjoint> = adjoint.density.iter().map(line).collect();
-    lines.push(PackedAdjoint::ZERO);
-    let state = (cloud.lines(), lines.as_slice());
-    pull_density_back(neighbours, medium, state, &mut adjoint.position);
+/// Adds a part to a loss that may have none yet.
+fn add<const D: usize>(sum: &mut Option<StateAdjoint<D>>, part: StateAdjoint<D>) {
+    match sum {
+        Some(sum) => sum.merge(&part),
+        None => *sum = Some(part),
+    }
 }
 
 fn points<'a, const D: usize>(

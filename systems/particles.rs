@@ -1,5 +1,6 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
+use super::acceleration::Senders;
 use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
@@ -89,10 +90,14 @@ pub struct AdjointCloud<const D: usize> {
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` through this evaluation, per slot.
     pub velocity: Vec<Vector<f64, D>>,
+    /// `∂L/∂ρ` of the loss that was just added, by row, until the evaluation with these densities takes it.
+    pub observed: Vec<f64>,
     /// `(∂L/∂A, ∂L/∂ρ)` through the forces, per slot.
     pub scalars: Vec<(f64, f64)>,
     /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
     pub shares: Vec<Vec<PairShare<D>>>,
+    /// Where each particle finds what was left for it.
+    pub senders: Senders,
     /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, summed over the evaluations so far.
     pub parameters: Vec<f64>,
 }

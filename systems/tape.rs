@@ -6,13 +6,14 @@ use super::particles::{
     AccelerationAdjoint, AdjointCloud, Cloud, PositionAdjoint, VelocityAdjoint,
 };
 use super::verlet::{Clock, Integrator};
+use crate::losses::StateAdjoint;
 use crate::packed::{Packed, PackedAdjoint};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
 
 /// One force evaluation: the cloud as the pairs saw it, and who saw whom.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Evaluation {
     packed: Vec<Packed>,
     slot_of_row: Vec<u32>,
@@ -21,8 +22,15 @@ pub struct Evaluation {
     step: u64,
 }
 
+impl Evaluation {
+    /// Bytes held, lists apart.
+    fn bytes(&self) -> usize {
+        64 * self.packed.len() + 4 * self.slot_of_row.len()
+    }
+}
+
 /// How the loss of one observed frame depends on its state.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct FrameAdjoint<const D: usize> {
     /// The observed step.
     pub step: u64,
@@ -30,6 +38,30 @@ pub struct FrameAdjoint<const D: usize> {
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` by row.
     pub velocity: Vec<Vector<f64, D>>,
+    /// `∂L/∂ρ` by row, through the densities of the step's last evaluation, which are those that the loss
+    /// saw.
+    pub density: Vec<f64>,
+}
+
+impl<const D: usize> FrameAdjoint<D> {
+    /// Bytes held per particle.
+    pub const BYTES: usize = 8 * (2 * D + 1);
+
+    fn bytes(&self) -> usize {
+        Self::BYTES * self.position.len()
+    }
+
+    /// From the order of slots.
+    fn fill(&mut self, step: u64, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
+        fn by_row<T: Copy>(into: &mut Vec<T>, column: &[T], slot_of_row: &[u32]) {
+            into.clear();
+            into.extend(slot_of_row.iter().map(|&slot| column[slot as usize]));
+        }
+        self.step = step;
+        by_row(&mut self.position, &adjoint.position, slot_of_row);
+        by_row(&mut self.velocity, &adjoint.velocity, slot_of_row);
+        by_row(&mut self.density, &adjoint.density, slot_of_row);
+    }
 }
 
 /// What was kept on the way forward.
@@ -37,6 +69,8 @@ pub struct FrameAdjoint<const D: usize> {
 pub struct Tape<const D: usize> {
     evaluations: Vec<Evaluation>,
     frames: Vec<FrameAdjoint<D>>,
+    /// Memory of what was taken back, to be used again.
+    spare: (Vec<Evaluation>, Vec<FrameAdjoint<D>>),
     /// Whether evaluations are kept; off where only the state at the end is wanted.
     pub running: bool,
 }
@@ -44,13 +78,32 @@ pub struct Tape<const D: usize> {
 impl<const D: usize> Tape<D> {
     /// Forgets everything.
     pub fn clear(&mut self) {
-        self.evaluations.clear();
-        self.frames.clear();
+        while let Some(evaluation) = self.evaluations.pop() {
+            self.discard(evaluation);
+        }
+        self.spare.1.append(&mut self.frames);
     }
 
-    /// Keeps how the loss depends on an observed frame.
-    pub fn push_frame(&mut self, frame: FrameAdjoint<D>) {
+    /// Keeps how the loss depends on an observed frame, from the order of slots.
+    pub fn push_frame(&mut self, step: u64, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
+        let mut frame = self.spare.1.pop().unwrap_or_default();
+        frame.fill(step, adjoint, slot_of_row);
         self.frames.push(frame);
+    }
+
+    /// Keeps a force evaluation.
+    fn push(&mut self, cloud: &Cloud<D>, chunks: &Arc<Vec<Chunk>>, step: u64) {
+        let mut evaluation = self.spare.0.pop().unwrap_or_default();
+        evaluation.packed.clone_from(&cloud.packed);
+        evaluation.slot_of_row.clone_from(&cloud.slot_of_row);
+        (evaluation.chunks, evaluation.step) = (Arc::clone(chunks), step);
+        self.evaluations.push(evaluation);
+    }
+
+    /// Leaves the memory of an evaluation for the next.
+    fn discard(&mut self, mut evaluation: Evaluation) {
+        evaluation.chunks = Arc::default();
+        self.spare.0.push(evaluation);
     }
 
     /// Number of force evaluations kept.
@@ -63,15 +116,21 @@ impl<const D: usize> Tape<D> {
         self.evaluations.is_empty()
     }
 
-    /// Bytes held.
+    /// Bytes of what is kept.
     pub fn bytes(&self) -> usize {
-        let evaluation = |e: &Evaluation| 64 * e.packed.len() + 4 * e.slot_of_row.len();
         let lists: usize = self
             .distinct_lists()
             .map(|chunks| chunks.iter().map(Chunk::bytes).sum::<usize>())
             .sum();
-        let frames: usize = self.frames.iter().map(|f| 16 * D * f.position.len()).sum();
-        self.evaluations.iter().map(evaluation).sum::<usize>() + lists + frames
+        let evaluations = self.evaluations.iter().map(Evaluation::bytes).sum::<usize>();
+        evaluations + lists + self.frames.iter().map(FrameAdjoint::bytes).sum::<usize>()
+    }
+
+    /// Bytes of what is left to be used again.
+    pub fn spare_bytes(&self) -> usize {
+        let (evaluations, frames) = &self.spare;
+        let evaluations = evaluations.iter().map(Evaluation::bytes).sum::<usize>();
+        evaluations + frames.iter().map(FrameAdjoint::bytes).sum::<usize>()
     }
 
     /// Lists shared by successive evaluations count once.
@@ -92,12 +151,7 @@ pub fn record_evaluation<const D: usize>(
     mut tape: ResMut<Tape<D>>,
 ) {
     if tape.running {
-        tape.evaluations.push(Evaluation {
-            packed: cloud.packed.clone(),
-            slot_of_row: cloud.slot_of_row.clone(),
-            chunks: Arc::clone(&neighbours.chunks),
-            step: clock.evaluated,
-        });
+        tape.push(&cloud, &neighbours.chunks, clock.evaluated);
     }
 }
 
@@ -108,13 +162,14 @@ pub fn rewind_evaluation<const D: usize>(
     (mut clock, mut adjoint): (ResMut<Clock>, ResMut<AdjointCloud<D>>),
     mut rows: Query<&mut AccelerationAdjoint<D>>,
 ) {
-    let Some(evaluation) = tape.evaluations.pop() else { return };
+    let Some(mut evaluation) = tape.evaluations.pop() else { return };
     let count = evaluation.slot_of_row.len();
-    cloud.packed = evaluation.packed;
-    cloud.slot_of_row = evaluation.slot_of_row;
-    neighbours.chunks = evaluation.chunks;
+    std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
+    std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
+    neighbours.chunks = std::mem::take(&mut evaluation.chunks);
     cloud.round(neighbours.space);
     clock.evaluated = evaluation.step;
+    tape.discard(evaluation);
     adjoint.packed.clear();
     adjoint.packed.resize(count + 1, PackedAdjoint::ZERO);
     let AdjointCloud { position, velocity, .. } = &mut *adjoint;
@@ -130,6 +185,12 @@ pub fn rewind_evaluation<const D: usize>(
             a.0 = Vector::zero();
         }
     }
+    // The loss of the step saw the densities of its last evaluation: the first that is come back to.
+    let AdjointCloud { packed, observed, .. } = &mut *adjoint;
+    for (&density, &slot) in observed.iter().zip(&cloud.slot_of_row) {
+        packed[slot as usize].density = density;
+    }
+    observed.clear();
 }
 
 /// System: the pullback of packing: what an evaluation passed back goes to the particles. Where the
@@ -161,14 +222,16 @@ pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
 pub fn add_loss<const D: usize>(
     mut rows: Query<(&mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
     clock: Res<Clock>,
-    mut tape: ResMut<Tape<D>>,
+    (mut tape, mut adjoint): (ResMut<Tape<D>>, ResMut<AdjointCloud<D>>),
 ) {
     let Some(frame) = tape.frames.pop_if(|frame| frame.step == clock.step) else { return };
-    let mut frame = frame.position.into_iter().zip(frame.velocity);
+    let mut shares = frame.position.iter().zip(&frame.velocity);
     for (positions, velocities) in rows.contiguous_iter_mut().into_iter().flatten() {
-        for ((r, v), (by_r, by_v)) in positions.into_iter().zip(velocities).zip(&mut frame) {
+        for ((r, v), (&by_r, &by_v)) in positions.into_iter().zip(velocities).zip(&mut shares) {
             r.0 += by_r;
             v.0 += by_v;
         }
     }
+    adjoint.observed.clone_from(&frame.density);
+    tape.spare.1.push(frame);
 }

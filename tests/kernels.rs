@@ -11,6 +11,7 @@ in_2d_and_3d!(
     the_mean_place_under_a_kernel_is_its_centre,
     the_first_moment_of_its_gradient_is_minus_one,
     gradient_and_curvature_are_derivatives_of_the_kernel,
+    slopes_at_once_are_gradient_and_curvature,
     a_kernel_is_finite_where_two_particles_meet,
     a_kernel_vanishes_from_two_smoothing_lengths_on,
     a_kernel_falls_everywhere_inside_its_support,
@@ -186,6 +187,19 @@ fn lanes_give_the_bits_of_single_numbers<const D: usize>() {
             assert_eq!(bits(w.curvature(lanes)), r.map(|r| w.curvature(r).to_bits()), "{name}");
             let back = Lanes::of(r[0]).to_array();
             assert_eq!(back.map(f64::to_bits), [r[0].to_bits(); WIDTH]);
+        }
+    }
+    every_kernel!(check, D);
+}
+
+fn slopes_at_once_are_gradient_and_curvature<const D: usize>() {
+    fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
+        for k in 0..60 {
+            let r = 0.04 * f64::from(k) * H;
+            let [gradient, curvature] = w.slopes(r);
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-14 * a.abs().max(1e-300);
+            assert!(near(w.gradient(r), gradient), "{name} at {r}");
+            assert!(near(w.curvature(r), curvature), "{name} at {r}");
         }
     }
     every_kernel!(check, D);

@@ -6,7 +6,7 @@ use crate::systems::Program;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
 use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, Identity, SensitivityCloud};
-use crate::systems::tape::Tape;
+use crate::systems::tape::{FrameAdjoint, Tape};
 use crate::systems::verlet::Integrator;
 use bevy_ecs::archetype::{Archetype, ArchetypeEntity};
 use bevy_ecs::entity::{Entity, EntityLocation};
@@ -70,7 +70,7 @@ impl<const D: usize> Flow<D> {
             ("neighbour lists", self.list_arrays()),
             ("sensitivities", self.sensitivity_arrays()),
             ("adjoint", self.adjoint_arrays()),
-            ("tape", vec![("evaluations and frames", self.tape_bytes())]),
+            ("tape", self.tape_arrays()),
             ("observations", self.observation_arrays()),
         ];
         for (part, arrays) in parts {
@@ -105,7 +105,10 @@ impl<const D: usize> Flow<D> {
         ];
         if let Some(observations) = self.world.get_resource::<Observations<D>>() {
             let steps = observations.frames.first().map_or(1, |frame| frame.step.max(1));
-            all.push(tape("loss by each observed state", (16 * D) as f64 / steps as f64));
+            all.push(tape(
+                "loss by each observed state",
+                FrameAdjoint::<D>::BYTES as f64 / steps as f64,
+            ));
         }
         all
     }
@@ -221,8 +224,15 @@ impl<const D: usize> Flow<D> {
             ("position", room(&cloud.position)),
             ("velocity", room(&cloud.velocity)),
             ("scalars", room(&cloud.scalars)),
+            ("observed", room(&cloud.observed)),
             ("shares", cloud.shares.iter().map(room).sum()),
+            ("senders", cloud.senders.bytes()),
         ]
+    }
+
+    fn tape_arrays(&self) -> Arrays {
+        let spare = self.world.get_resource::<Tape<D>>().map_or(0, Tape::spare_bytes);
+        vec![("evaluations and frames", self.tape_bytes()), ("to be used again", spare)]
     }
 
     fn observation_arrays(&self) -> Arrays {

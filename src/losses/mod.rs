@@ -8,10 +8,11 @@
 mod field;
 mod increments;
 mod mesh;
+mod rows;
 mod statistical;
 mod trajectory;
 
-pub use field::{Points, field, field_adjoint, field_loss};
+pub use field::{Points, field, field_adjoint, field_loss, field_value};
 pub use increments::{
     Density1d, FEWEST_NODES, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
 };

@@ -2,7 +2,7 @@
 
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Slope,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales,
     StressSlope,
 };
 use crate::error::Result;
@@ -123,6 +123,6 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
         force: Vector<W, D>,
         _: &mut Room,
     ) -> PairCotangent<W, D> {
-        self.medium.slope(pairs).pullback(force)
+        self.medium.pullback(pairs, force)
     }
 }

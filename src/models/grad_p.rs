@@ -2,7 +2,7 @@
 
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Slope,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales,
 };
 use crate::error::Result;
 use crate::network::Network;
@@ -128,10 +128,9 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
     ) -> PairCotangent<W, D> {
         let stresses = self.stresses(pairs, room);
         let s = self.medium.strength_gradient(&pairs.pair, stresses);
-        let along = force.dot(pairs.separation);
+        let (mut cotangent, along) = s.pullback(pairs, force);
         room.output_cotangent[0] = (along * s.by_stress * self.units.stress).store();
         self.network.pullback(room);
-        let mut cotangent = CentralSlope::new(pairs, &s, [W::of(0.0); 2]).pullback(force);
         cotangent.separation += self.by_separation(pairs, &room.input_cotangent);
         cotangent
     }

@@ -1,6 +1,6 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
-use super::{CentralSlope, Parameters};
+use super::{CentralSlope, PairCotangent, Parameters};
 use crate::kernel::{KernelName, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::scalar::{Scalar, Wide};
@@ -75,13 +75,13 @@ impl<const D: usize> Medium<D> {
     pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T> {
         let by = self.viscosity();
         let r = pair.r2.sqrt();
-        let pull = self.smoothing.gradient(r) * -self.mass;
+        let [gradient, curvature] = self.smoothing.slopes(r);
+        let pull = gradient * -self.mass;
         let viscous = monaghan_gradient(pair, self.smoothing.h, &by);
         let total = stresses + viscous.value;
         Strength {
             value: total * pull,
-            by_separation: total * self.smoothing.curvature(r) * -self.mass
-                + viscous.by_r2 * pull * 2.0,
+            by_separation: total * curvature * -self.mass + viscous.by_r2 * pull * 2.0,
             by_approach: viscous.by_approach * pull,
             by_stress: pull,
             by_density: viscous.by_density * pull,
@@ -94,6 +94,19 @@ impl<const D: usize> Medium<D> {
     pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
+    }
+
+    /// The pullback of the force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    #[inline(always)]
+    pub fn pullback<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        force: Vector<W, D>,
+    ) -> PairCotangent<W, D> {
+        let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
+        let (mut cotangent, along) = s.pullback(pairs, force);
+        cotangent.stress = [s.by_stress * along; 2];
+        cotangent
     }
 
     /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.

@@ -20,8 +20,7 @@
 //!
 //! | function | in → out | way |
 //! |---|---|---|
-//! | Tait's `A(ρ; c, γ)` | 3 → 1 | forward, dual numbers ([`Physics`]) |
-//! | `Π` and the kernel | few → 1 | by hand ([`crate::viscosity`], [`crate::kernel`]) |
+//! | Tait's `A(ρ; c, γ)`, `Π` and the kernel | few → 1 | by hand, with dual numbers as the oracle ([`crate::state`], [`crate::viscosity`], [`crate::kernel`]) |
 //! | pair force by the pair's state | ≤ `2d + 4` → `d` | one [`Slope`] per pair serves every column |
 //! | network by its inputs and weights | many → 1 or `d` | reverse ([`crate::network`]) |
 //! | loss by everything | many → 1 | adjoint, or forward for few parameters ([`crate::sensitivity`]) |
@@ -369,32 +368,30 @@ pub struct Passed<'a, const D: usize> {
     pub velocity: &'a mut [Vector<f64, D>],
     /// `(∂L/∂A, ∂L/∂ρ)`, overwritten.
     pub scalars: &'a mut [(f64, f64)],
-    /// What belongs to the neighbours, eight by eight as in the chunk's lists; filled where
+    /// What belongs to the neighbours, place by place as in the chunk's lists; filled where
     /// [`Model::passes_to_neighbours`].
     pub neighbours: &'a mut Vec<PairShare<D>>,
 }
 
-/// The part of a pair's cotangent that belongs to particle `j`.
+/// The part of a pair's cotangent that belongs to particle `j`: one cache line in 3D, since `j` fetches
+/// them one by one.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
 pub struct PairShare<const D: usize> {
     /// `∂L/∂rⱼ`.
-    pub position: Vector<Lanes, D>,
+    pub position: Vector<f64, D>,
     /// `∂L/∂vⱼ`.
-    pub velocity: Vector<Lanes, D>,
+    pub velocity: Vector<f64, D>,
     /// `∂L/∂Aⱼ`.
-    pub stress: Lanes,
+    pub stress: f64,
     /// `∂L/∂ρⱼ`.
-    pub density: Lanes,
+    pub density: f64,
 }
 
 impl<const D: usize> PairShare<D> {
     /// Nothing.
-    pub const ZERO: Self = Self {
-        position: Vector([Lanes::ZERO; D]),
-        velocity: Vector([Lanes::ZERO; D]),
-        stress: Lanes::ZERO,
-        density: Lanes::ZERO,
-    };
+    pub const ZERO: Self =
+        Self { position: Vector([0.0; D]), velocity: Vector([0.0; D]), stress: 0.0, density: 0.0 };
 }
 
 /// A law of motion over chunks of particles: what the systems run. Every [`PairLaw`] is one.

@@ -374,11 +374,8 @@ impl<const D: usize> Pass for PullPass<'_, D> {
                     let [by_r, by_v] = model.through(&feature, by);
                     into.position[k] += by_r;
                     into.velocity[k] += by_v;
-                    let share = &mut into.neighbours[place as usize / WIDTH];
-                    for axis in 0..D {
-                        share.position[axis].set_lane(place as usize % WIDTH, -by_r[axis]);
-                        share.velocity[axis].set_lane(place as usize % WIDTH, -by_v[axis]);
-                    }
+                    let share = &mut into.neighbours[place as usize];
+                    (share.position, share.velocity) = (-by_r, -by_v);
                 }
             }
         }

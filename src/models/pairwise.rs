@@ -6,7 +6,7 @@ use super::{
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
-use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch_in};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 
@@ -225,7 +225,8 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
                 let passed = law.pullback(&batch, across, room);
                 add_own(&mut sum, &passed);
                 if !both {
-                    into.neighbours[chunk.first_batch(k) + number] = share_of(&passed);
+                    let first = (chunk.first_batch(k) + number) * WIDTH;
+                    leave_shares(&passed, &mut into.neighbours[first..first + WIDTH]);
                 }
             }
             for axis in 0..D {
@@ -264,13 +265,19 @@ fn add_own<W: Wide, const D: usize>(
     }
 }
 
-/// The part that belongs to particle `j`.
+/// Leaves the parts that belong to the eight particles `j`.
 #[inline(always)]
-fn share_of<W: Wide, const D: usize>(passed: &PairCotangent<W, D>) -> PairShare<D> {
-    PairShare {
-        position: store_vector(&-passed.separation),
-        velocity: store_vector(&-passed.velocity),
-        stress: passed.stress[1].store(),
-        density: passed.density[1].store(),
+fn leave_shares<W: Wide, const D: usize>(
+    passed: &PairCotangent<W, D>,
+    shares: &mut [PairShare<D>],
+) {
+    let (position, velocity) = (store_vector(&-passed.separation), store_vector(&-passed.velocity));
+    let (stress, density) = (passed.stress[1].store(), passed.density[1].store());
+    for (lane, share) in shares.iter_mut().enumerate() {
+        for axis in 0..D {
+            share.position[axis] = position[axis].lane(lane);
+            share.velocity[axis] = velocity[axis].lane(lane);
+        }
+        (share.stress, share.density) = (stress.lane(lane), density.lane(lane));
     }
 }

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::flow::{Flow, Snapshot, State};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::{Chunk, Neighbours};
+use crate::systems::tape::FrameAdjoint;
 use crate::systems::verlet::Integrator;
 use serde::{Deserialize, Serialize};
 
@@ -137,7 +138,7 @@ impl<const D: usize> Run<'_, D> {
         let lists: usize = most.sum();
         let evaluation = 64 * (self.particles + 1) + 4 * self.particles + lists;
         let refreshes = self.flow.world().resource::<Integrator>().step.refreshes();
-        let frame = 16 * D * self.particles;
+        let frame = FrameAdjoint::<D>::BYTES * self.particles;
         evaluation * if refreshes { 2 } else { 1 } + frame
     }
 

@@ -4,6 +4,7 @@
 
 use clap::Parser;
 use std::time::Instant;
+use whirls::scalar::Precision;
 use whirls::scene::Learn;
 use whirls::systems::loss::Observations;
 use whirls::truth::Truth;
@@ -24,6 +25,12 @@ pub(crate) struct Arguments {
     /// Measure this model only.
     #[arg(long, value_name = "KIND")]
     pub(crate) model: Option<String>,
+    /// Particles along a side, one after another; of `gradients`.
+    #[arg(long, value_delimiter = ',', default_value = "16")]
+    pub(crate) sides: Vec<usize>,
+    /// What pairs are evaluated in, `double` or `mixed`; of `gradients`.
+    #[arg(long, value_parser = precision, default_value = "double")]
+    pub(crate) precision: Precision,
     /// That Cargo means to measure, and not to test.
     #[arg(long, hide = true)]
     bench: bool,
@@ -43,6 +50,12 @@ impl Arguments {
     }
 }
 
+/// A precision by its name.
+fn precision(name: &str) -> Result<Precision, String> {
+    let found = Precision::ALL.into_iter().find(|precision| precision.name() == name);
+    found.ok_or_else(|| "double or mixed".to_owned())
+}
+
 /// A flow to measure: a truth, and a scene that learns from it.
 pub(crate) struct Setting {
     pub(crate) scene: Scene,
@@ -51,14 +64,24 @@ pub(crate) struct Setting {
 }
 
 impl Setting {
-    /// Ten steps of the paper's 4096 particles in 3D with the field loss; two of 216 for a quick run.
-    pub(crate) fn of_the_paper(arguments: &Arguments) -> Self {
-        let quick = ["fluid.particles_per_side=6", "fluid.smoothing_length=0.78", "learn.frames=2"];
-        let mut overrides = vec!["learn.windows=[]".to_owned()];
-        if arguments.quick {
-            overrides.extend(quick.map(str::to_owned));
-        }
+    /// The paper's flow in 3D with the field loss: ten steps of 4096 particles, fewer steps of more
+    /// particles with as many neighbours; two of 216 for a quick run.
+    pub(crate) fn of_the_paper(arguments: &Arguments, side: usize) -> Self {
+        let (side, after, frames) = match (arguments.quick, side) {
+            (true, _) => (6, 19, 2),
+            (_, ..=16) => (side, 19, 10),
+            (_, ..=32) => (side, 5, 4),
+            _ => (side, 2, 2),
+        };
+        let overrides = [
+            "learn.windows=[]".to_owned(),
+            format!("fluid.particles_per_side={side}"),
+            format!("fluid.smoothing_length={}", if side == 6 { 0.78 } else { 5.36 / side as f64 }),
+            format!("learn.after={after}"),
+            format!("learn.frames={frames}"),
+        ];
         let mut scene = Scene::open("inverse-3d", &overrides).unwrap();
+        scene.precision = arguments.precision;
         let learn = learn(&mut scene).clone();
         let truth = Truth::generate(&scene, (learn.after, learn.frames)).unwrap();
         let observations = truth.observations(&scene, &learn).unwrap();
