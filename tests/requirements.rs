@@ -205,6 +205,7 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     let mut all = moving.map(|name| column(name, vector + TICKS)).to_vec();
     let arrays = [
         ("reference", vector),
+        ("observed", 8.0),
         ("packed", 32.0),
         ("position", vector),
         ("velocity", vector),
@@ -216,6 +217,12 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
         let ([least, _], most) = lists(scene);
         let bytes = [each * least / 32.0, 2.0 * each * most];
         all.push(("adjoint", "shares".to_owned(), bytes));
+        // Two numbers for each pair, and where each particle's begin.
+        all.push((
+            "adjoint",
+            "senders".to_owned(),
+            [4.0 + 1.8 * least, 8.0 + 4.0 * (least + 32.0)],
+        ));
     }
     all
 }
@@ -303,7 +310,7 @@ fn columns_of_a_gradient(
     let each_step = vec![
         exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)),
         ("tape, a step", lists, [2.0 * least, 2.0 * most]),
-        exactly("tape, a step", "loss by each observed state", 2.0 * vector),
+        exactly("tape, a step", "loss by each observed state", 2.0 * vector + 8.0),
     ];
     (held, each_step)
 }

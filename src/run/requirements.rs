@@ -79,7 +79,9 @@ impl Requirements {
             (name, systems)
         };
         let programs = flow.programs().into_iter().map(named).collect();
-        Self { about, programs, held: flow.held(), each_step: flow.tape_of_a_step() }
+        // The tape of a search is told by its steps; what is left of one here is the same memory.
+        let held = flow.held().into_iter().filter(|column| column.part != "tape").collect();
+        Self { about, programs, held, each_step: flow.tape_of_a_step() }
     }
 
     /// What an adjoint keeps of the way forward, by its storage.
