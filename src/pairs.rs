@@ -287,6 +287,16 @@ impl<W: Wide, const D: usize> Batch<W, D> {
         self.separation * (W::of(1.0) / self.pair.r2.sqrt().max(W::smallest(SMALLEST_DISTANCE)))
     }
 
+    /// `|rᵢⱼ|²` and `rᵢⱼ` of one of the pairs.
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> (f64, Vector<f64, D>) {
+        let mut separation = Vector::zero();
+        for axis in 0..D {
+            separation[axis] = self.separation[axis].store().lane(lane);
+        }
+        (self.pair.r2.store().lane(lane), separation)
+    }
+
     /// The particle in slot `here` against the particles in `slots`.
     #[inline(always)]
     pub fn read(lines: Lines<'_>, here: usize, slots: &[u32; WIDTH], space: Surroundings) -> Self {

@@ -2,7 +2,7 @@
 
 use super::neighbours::Neighbours;
 use super::particles::{
-    Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud,
+    Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
 };
 use crate::cells::FEWEST;
 use crate::models::{Columns, Model, PairShare, Passed};
@@ -77,20 +77,22 @@ pub fn accelerate_tangent<const D: usize>(
         let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.weight_shares(hood, room, shares));
     });
+    let (mut out, mut columns) = (Vec::new(), Vec::new());
     for block in blocks {
         start_with_shares(block, weight_shares, count);
-        let columns = Columns {
+        out.push(&mut block.acceleration[..]);
+        columns.push(Columns {
             sensitivities: &block.packed,
             directions: &block.directions,
             coupling: *coupling,
             stress_slopes,
-        };
-        let chunks = neighbours.chunks.par_iter().zip(block.acceleration.par_chunks_mut(CHUNK));
-        chunks.for_each(|(chunk, out)| {
-            let hood = Hood { lines, chunk, space };
-            rooms.enter(model.network(), |room| model.tangents(hood, columns, room, out));
         });
     }
+    let chunks = neighbours.chunks.par_iter().zip(side_by_side(out));
+    chunks.for_each(|(chunk, mut out)| {
+        let hood = Hood { lines, chunk, space };
+        rooms.enter(model.network(), |room| model.tangents(hood, &columns, room, &mut out));
+    });
 }
 
 /// `δF` of a block as far as it comes from its weights directly.

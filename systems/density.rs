@@ -2,7 +2,9 @@
 
 use super::acceleration::Law;
 use super::neighbours::Neighbours;
-use super::particles::{AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud};
+use super::particles::{
+    AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
+};
 use crate::cells::FEWEST;
 use crate::models::{Change, Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
@@ -156,64 +158,83 @@ pub fn sum_density_tangent<const D: usize>(
     let medium = model.medium();
     let SensitivityCloud { blocks, coupling, stress_slopes, .. } = &mut *sensitivities;
     stress_slopes.resize(cloud.len(), 0.0);
-    for block in blocks {
-        let (lines, sensitivity) = (cloud.lines(), &block.packed);
-        let (space, coupling) = (neighbours.space, *coupling);
+    let (lines, space, coupling) = (cloud.lines(), neighbours.space, *coupling);
+    for block in &mut *blocks {
+        let sensitivity = &block.packed;
         let chunks = neighbours.chunks.par_iter().zip(block.density.par_chunks_mut(CHUNK));
         chunks.for_each(|(chunk, density)| {
             let hood = Hood { lines, chunk, space };
             let pass = DensityTangent { hood, medium, sensitivity, coupling, density };
             dispatch_in(lines.precision, pass);
         });
-        let SensitivityBlock { packed, density, directions, weights, .. } = block;
-        let lines = packed.par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
-        let lines = lines.zip(cloud.particles().par_chunks(CHUNK));
-        let lines = lines.zip(stress_slopes.par_chunks_mut(CHUNK));
-        lines.for_each(|(((lines, density), particles), slopes)| {
-            rooms.enter(model.network(), |room| {
-                let (directions, weights) = (&*directions, weights.as_slice());
-                let columns = (directions, weights);
-                let into = (lines, slopes);
-                StressTangent { model, density, particles, columns, into, room }.run();
-            });
-        });
     }
+    let (mut packed, mut columns) = (Vec::new(), Vec::new());
+    for block in blocks {
+        let SensitivityBlock { packed: lines, density, directions, weights, .. } = block;
+        packed.push(&mut lines[..]);
+        columns.push(StressColumns { density, directions, weights });
+    }
+    let chunks = side_by_side(packed).into_par_iter().zip(cloud.particles().par_chunks(CHUNK));
+    let chunks = chunks.zip(stress_slopes.par_chunks_mut(CHUNK)).enumerate();
+    chunks.for_each(|(chunk, ((lines, particles), slopes))| {
+        rooms.enter(model.network(), |room| {
+            let (first, columns, into) = (chunk * CHUNK, &columns[..], (lines, slopes));
+            StressTangent { model, first, columns, particles, into, room }.run();
+        });
+    });
 }
 
-/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and one block of parameters.
-struct StressTangent<'a, const D: usize> {
-    model: &'a dyn Model<D>,
+/// One block of parameters, as the stress sees it.
+struct StressColumns<'a> {
+    /// `δρ` per slot.
     density: &'a [Lanes],
+    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
+    directions: &'a [Lanes; Parameter::COUNT],
+    /// `(lane, place in the network)` of the weights among the eight.
+    weights: &'a [(usize, usize)],
+}
+
+/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters: the stress is
+/// differentiated once for all of them.
+struct StressTangent<'a, 'b, const D: usize> {
+    model: &'a dyn Model<D>,
+    /// Slot of the first particle.
+    first: usize,
+    columns: &'a [StressColumns<'a>],
     particles: &'a [Packed],
-    columns: (&'a [Lanes; Parameter::COUNT], &'a [(usize, usize)]),
-    into: (&'a mut [PackedSensitivity<D>], &'a mut [f64]),
+    into: (Vec<&'b mut [PackedSensitivity<D>]>, &'b mut [f64]),
     room: &'a mut Room,
 }
 
-impl<const D: usize> StressTangent<'_, D> {
+impl<const D: usize> StressTangent<'_, '_, D> {
     fn run(self) {
-        let Self { model, density, particles, columns: (directions, weights), into, room } = self;
-        let with_weights = !weights.is_empty() && model.has_stress_network();
-        let (lines, slopes) = into;
-        let rows = lines.chunks_mut(WIDTH).zip(slopes.chunks_mut(WIDTH));
-        let rows = rows.zip(density.chunks(WIDTH)).zip(particles.chunks(WIDTH));
-        for (((lines, slopes), density), particles) in rows {
+        let Self { model, first, columns, particles, into: (mut blocks, slopes), room } = self;
+        let some_weights = columns.iter().any(|block| !block.weights.is_empty());
+        let with_weights = some_weights && model.has_stress_network();
+        let rows = slopes.chunks_mut(WIDTH).zip(particles.chunks(WIDTH));
+        for (number, (slopes, particles)) in rows.enumerate() {
             let rho = densities(particles);
             let stress = model.stress_slope(rho, room);
             if with_weights {
                 model.stress_weights(rho, room);
             }
-            for (lane, line) in lines.iter_mut().enumerate() {
-                slopes[lane] = stress.by_density.lane(lane);
-                line.density = density[lane];
-                line.stress = density[lane] * slopes[lane];
-                for (direction, slope) in directions.iter().zip(&stress.by_parameter) {
-                    line.stress += *direction * slope.lane(lane);
-                }
-                if with_weights {
-                    for &(column, weight) in weights {
-                        let slope = line.stress.lane(column) + room.weights[weight].lane(lane);
-                        line.stress.set_lane(column, slope);
+            for (lane, slope) in slopes.iter_mut().enumerate() {
+                *slope = stress.by_density.lane(lane);
+            }
+            for (lines, columns) in blocks.iter_mut().zip(columns) {
+                let lines = &mut lines[number * WIDTH..][..slopes.len()];
+                let density = &columns.density[first + number * WIDTH..];
+                for (lane, line) in lines.iter_mut().enumerate() {
+                    line.density = density[lane];
+                    line.stress = density[lane] * slopes[lane];
+                    for (direction, slope) in columns.directions.iter().zip(&stress.by_parameter) {
+                        line.stress += *direction * slope.lane(lane);
+                    }
+                    if with_weights {
+                        for &(column, weight) in columns.weights {
+                            let slope = line.stress.lane(column) + room.weights[weight].lane(lane);
+                            line.stress.set_lane(column, slope);
+                        }
                     }
                 }
             }

@@ -4,7 +4,7 @@ use super::acceleration::Senders;
 use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
-use crate::pairs::Lines;
+use crate::pairs::{CHUNK, Lines};
 use crate::scalar::{Lanes, Precision};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
@@ -79,6 +79,20 @@ pub fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> C
     let mut whole = [first, second].concat();
     parts.for_each(|part| whole.extend_from_slice(part));
     Cow::Owned(whole)
+}
+
+/// The chunks of columns of equal length, chunk by chunk.
+pub(crate) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
+    let mut chunks: Vec<Vec<&mut [T]>> = Vec::new();
+    for column in columns {
+        for (number, part) in column.chunks_mut(CHUNK).enumerate() {
+            if number == chunks.len() {
+                chunks.push(Vec::new());
+            }
+            chunks[number].push(part);
+        }
+    }
+    chunks
 }
 
 /// What goes backwards through one force evaluation, in cell order; absent where no adjoint is run.

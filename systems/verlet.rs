@@ -127,10 +127,9 @@ pub fn kick_tangent<const D: usize>(
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
-    for (velocities, accelerations) in blocks.contiguous_iter_mut().into_iter().flatten() {
-        for (v, a) in velocities.into_iter().zip(accelerations) {
-            v.0 += a.0.map(|x| x * half);
-        }
+    for (mut velocities, accelerations) in blocks.contiguous_iter_mut().into_iter().flatten() {
+        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(FEWEST);
+        rows.for_each(|(v, a)| v.0 += a.0.map(|x| x * half));
     }
 }
 
@@ -139,10 +138,9 @@ pub fn drift_tangent<const D: usize>(
     mut blocks: Query<(&mut PositionSensitivity<D>, &VelocitySensitivity<D>)>,
     integrator: Res<Integrator>,
 ) {
-    for (positions, velocities) in blocks.contiguous_iter_mut().into_iter().flatten() {
-        for (r, v) in positions.into_iter().zip(velocities) {
-            r.0 += v.0.map(|x| x * integrator.dt);
-        }
+    for (mut positions, velocities) in blocks.contiguous_iter_mut().into_iter().flatten() {
+        let rows = positions.par_iter_mut().zip(velocities).with_min_len(FEWEST);
+        rows.for_each(|(r, v)| r.0 += v.0.map(|x| x * integrator.dt));
     }
 }
 

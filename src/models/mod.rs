@@ -402,13 +402,13 @@ pub trait Model<const D: usize>: Constitutive<D> {
     /// `aᵢ` of every particle of a chunk.
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
 
-    /// `δaᵢ` at fixed weights, for one block of columns; added to `out`.
+    /// `δaᵢ` at fixed weights, for every block of columns; added to the block's own in `out`.
     fn tangents(
         &self,
         hood: Hood<'_>,
-        columns: Columns<'_, D>,
+        columns: &[Columns<'_, D>],
         room: &mut Room,
-        out: &mut [Vector<Lanes, D>],
+        out: &mut [&mut [Vector<Lanes, D>]],
     );
 
     /// Whether the force itself (not only the stress) depends on the network.

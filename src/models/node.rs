@@ -207,9 +207,9 @@ impl<const D: usize> Model<D> for Node<D> {
     fn tangents(
         &self,
         hood: Hood<'_>,
-        columns: Columns<'_, D>,
+        columns: &[Columns<'_, D>],
         room: &mut Room,
-        out: &mut [Vector<Lanes, D>],
+        out: &mut [&mut [Vector<Lanes, D>]],
     ) {
         dispatch(TangentPass { model: self, hood, columns, room, out });
     }
@@ -261,47 +261,63 @@ impl<const D: usize> Pass for ForcePass<'_, D> {
     }
 }
 
-struct TangentPass<'a, const D: usize> {
+struct TangentPass<'a, 'b, const D: usize> {
     model: &'a Node<D>,
     hood: Hood<'a>,
-    columns: Columns<'a, D>,
+    columns: &'a [Columns<'a, D>],
     room: &'a mut Room,
-    out: &'a mut [Vector<Lanes, D>],
+    out: &'a mut [&'b mut [Vector<Lanes, D>]],
 }
 
-impl<const D: usize> Pass for TangentPass<'_, D> {
+impl<const D: usize> Pass for TangentPass<'_, '_, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { model, hood, columns, room, out } = self;
-        let directions = load_directions::<W>(columns.directions);
-        for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
-            model.evaluate(hood, group * WIDTH, room);
+        let mut slopes = Vec::new();
+        for first in (0..hood.chunk.len()).step_by(WIDTH) {
+            model.evaluate(hood, first, room);
             model.network.jacobian(room);
-            for (lane, acceleration) in accelerations.iter_mut().enumerate() {
-                let k = group * WIDTH + lane;
-                let own = Change::load(&columns.sensitivities[hood.chunk.first + k]);
-                let mut sum = load_vector::<W, D>(acceleration);
+            for lane in 0..(hood.chunk.len() - first).min(WIDTH) {
+                let k = first + lane;
+                slopes.clear();
                 for rank in 0..model.nearest {
                     let place = room.nearest[lane * model.nearest + rank];
                     if place == MISSING {
                         break;
                     }
                     let feature = model.feature(hood, k, place);
-                    let slope = model.slope(&feature, (rank, lane), room);
-                    let other = match columns.coupling {
-                        Coupling::Full => {
-                            Change::load(&columns.sensitivities[hood.chunk.slot(place as usize)])
-                        }
-                        Coupling::Local => Change::zero(),
-                    };
-                    sum += slope.tangent(0, &own, &other, &directions);
+                    let other = hood.chunk.slot(place as usize);
+                    slopes.push((other, model.slope(&feature, (rank, lane), room)));
                 }
-                *acceleration = store_vector(&sum);
+                for (columns, out) in columns.iter().zip(&mut *out) {
+                    let slot = hood.chunk.first + k;
+                    out[k] = add_tangents::<W, D>((slot, &slopes), columns, &out[k]);
+                }
             }
         }
     }
+}
+
+/// `δaᵢ` of one particle and one block, added to what it is so far.
+#[inline(always)]
+fn add_tangents<W: Wide, const D: usize>(
+    (slot, slopes): (usize, &[(usize, MatrixSlope<Lanes, D>)]),
+    columns: &Columns<'_, D>,
+    so_far: &Vector<Lanes, D>,
+) -> Vector<Lanes, D> {
+    let directions = load_directions::<W>(columns.directions);
+    let own = Change::load(&columns.sensitivities[slot]);
+    let mut sum = load_vector::<W, D>(so_far);
+    for (other, slope) in slopes {
+        let other = match columns.coupling {
+            Coupling::Full => Change::load(&columns.sensitivities[*other]),
+            Coupling::Local => Change::zero(),
+        };
+        sum += slope.tangent(0, &own, &other, &directions);
+    }
+    store_vector(&sum)
 }
 
 struct WeightPass<'a, const D: usize> {

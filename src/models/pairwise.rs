@@ -1,8 +1,8 @@
 //! The loops over pairs that every [`PairLaw`] shares: value, tangent, pullback.
 
 use super::{
-    Change, Columns, Learned, Model, PairCotangent, PairLaw, PairShare, Passed, Room, Slope,
-    StoredSlope, load_directions, load_vector, store_vector,
+    Change, Columns, Learned, Model, PairCotangent, PairLaw, PairShare, Parameter, Passed, Room,
+    Slope, StoredSlope, load_directions, load_vector, store_vector,
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
@@ -22,9 +22,9 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     fn tangents(
         &self,
         hood: Hood<'_>,
-        columns: Columns<'_, D>,
+        columns: &[Columns<'_, D>],
         room: &mut Room,
-        out: &mut [Vector<Lanes, D>],
+        out: &mut [&mut [Vector<Lanes, D>]],
     ) {
         dispatch_in(hood.lines.precision, TangentPass { law: self, hood, columns, room, out });
     }
@@ -93,62 +93,104 @@ fn widen<W: Wide, const D: usize>(vector: Vector<W, D>) -> Vector<W::Double, D> 
     wide
 }
 
-/// `δaᵢ = Σⱼ δfᵢⱼ` over one chunk of particles and one block of parameters: the slope is found for
-/// eight pairs at once, then serves the eight parameters of each pair at once.
-struct TangentPass<'a, L, const D: usize> {
+/// `δaᵢ = Σⱼ δfᵢⱼ` over one chunk of particles and all blocks of parameters: the slopes of a particle's
+/// pairs are found eight at a time, then serve the eight parameters of each block at once.
+struct TangentPass<'a, 'b, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
-    columns: Columns<'a, D>,
+    columns: &'a [Columns<'a, D>],
     room: &'a mut Room,
-    out: &'a mut [Vector<Lanes, D>],
+    out: &'a mut [&'b mut [Vector<Lanes, D>]],
 }
 
-impl<L: PairLaw<D>, const D: usize> Pass for TangentPass<'_, L, D> {
+/// Particles whose slopes are held at once: they, and one block's sensitivities of everyone near, stay in
+/// the cache.
+const GROUP: usize = 64;
+
+/// Eight pairs of a particle with their slopes.
+struct Sloped<'a, S> {
+    slots: &'a [u32; WIDTH],
+    slope: S,
+}
+
+impl<L: PairLaw<D>, const D: usize> Pass for TangentPass<'_, '_, L, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { law, hood: Hood { lines, chunk, space }, columns, room, out } = self;
-        let directions = load_directions::<W::Double>(columns.directions);
-        for (k, acceleration) in out.iter_mut().enumerate() {
-            let slot = chunk.first + k;
-            let own = Change::load(&columns.sensitivities[slot]);
-            let mut sum = load_vector::<W::Double, D>(acceleration);
-            let space = chunk.around(k, space);
-            for slots in chunk.neighbours(k) {
-                let batch = Batch::<W, D>::read(lines, slot, slots, space);
-                let slope = law.slope(&batch, room).store();
-                for (lane, &j) in slots.iter().enumerate() {
-                    let Some(other) = columns.sensitivities.get(j as usize) else { break };
-                    let other = match columns.coupling {
-                        Coupling::Full => Change::load(other),
-                        Coupling::Local => {
-                            let by_density = columns.stress_slopes[j as usize];
-                            alone(law, &batch, lane, (&own, &Change::load(other), by_density))
-                        }
-                    };
-                    sum += slope.tangent(lane, &own, &other, &directions);
+        let mut pairs = Vec::new();
+        for first in (0..chunk.len()).step_by(GROUP) {
+            let group = first..(first + GROUP).min(chunk.len());
+            pairs.clear();
+            for k in group.clone() {
+                let (slot, space) = (chunk.first + k, chunk.around(k, space));
+                for slots in chunk.neighbours(k) {
+                    let batch = Batch::<W, D>::read(lines, slot, slots, space);
+                    pairs.push(Sloped { slots, slope: law.slope(&batch, room).store() });
                 }
             }
-            *acceleration = store_vector(&sum);
+            for (columns, out) in columns.iter().zip(&mut *out) {
+                let directions = load_directions::<W::Double>(columns.directions);
+                let mut rest = &pairs[..];
+                for k in group.clone() {
+                    let (own, others) = rest.split_at(chunk.neighbours(k).len());
+                    rest = others;
+                    let there = |batch: &Sloped<'_, _>, lane: usize| {
+                        let (slot, space) = (chunk.first + k, chunk.around(k, space));
+                        Batch::<W, D>::read(lines, slot, batch.slots, space).lane(lane)
+                    };
+                    let mut sum = load_vector::<W::Double, D>(&out[k]);
+                    let here = Change::load(&columns.sensitivities[chunk.first + k]);
+                    for batch in own {
+                        add_tangents((law, there), batch, columns, (&here, &directions), &mut sum);
+                    }
+                    out[k] = store_vector(&sum);
+                }
+            }
         }
+    }
+}
+
+/// Adds what eight pairs give to `δaᵢ` for one block.
+#[inline(always)]
+fn add_tangents<L: PairLaw<D>, W: Wide, S: StoredSlope<D>, const D: usize>(
+    (law, there): (&L, impl Fn(&Sloped<'_, S>, usize) -> (f64, Vector<f64, D>)),
+    batch: &Sloped<'_, S>,
+    columns: &Columns<'_, D>,
+    (own, directions): (&Change<W, D>, &[W; Parameter::COUNT]),
+    sum: &mut Vector<W, D>,
+) {
+    for (lane, &j) in batch.slots.iter().enumerate() {
+        let Some(other) = columns.sensitivities.get(j as usize) else { break };
+        if batch.slope.is_zero(lane) {
+            continue;
+        }
+        let other = match columns.coupling {
+            Coupling::Full => Change::load(other),
+            Coupling::Local => {
+                let by_density = columns.stress_slopes[j as usize];
+                let pair = there(batch, lane);
+                alone(law, pair, (own, &Change::load(other), by_density))
+            }
+        };
+        *sum += batch.slope.tangent(lane, own, &other, directions);
     }
 }
 
 /// A neighbour whose own sensitivities are dropped: of `δρⱼ` only what particle `i` itself gives
 /// remains, of `δAⱼ` that and the explicit dependence on the parameters.
 #[inline(always)]
-fn alone<L: PairLaw<D>, P: Wide, W: Wide, const D: usize>(
+fn alone<L: PairLaw<D>, W: Wide, const D: usize>(
     law: &L,
-    batch: &Batch<P, D>,
-    lane: usize,
+    (r2, separation): (f64, Vector<f64, D>),
     (own, other, by_density): (&Change<W, D>, &Change<W, D>, f64),
 ) -> Change<W, D> {
     let medium = law.medium();
-    let pull = medium.smoothing.gradient(batch.pair.r2.store().lane(lane).sqrt()) * medium.mass;
+    let pull = medium.smoothing.gradient(r2.sqrt()) * medium.mass;
     let mut given = W::of(0.0);
     for axis in 0..D {
-        given += own.position[axis] * (batch.separation[axis].store().lane(lane) * pull);
+        given += own.position[axis] * (separation[axis] * pull);
     }
     let explicit = other.stress - other.density * by_density;
     Change { density: given, stress: explicit + given * by_density, ..Change::zero() }

@@ -20,6 +20,13 @@ pub trait Slope<W: Wide, const D: usize> {
 
 /// A [`Slope`] in memory.
 pub trait StoredSlope<const D: usize> {
+    /// Whether the pair in `lane` is known to add nothing, as one beyond the support.
+    #[inline(always)]
+    fn is_zero(&self, lane: usize) -> bool {
+        let _ = lane;
+        false
+    }
+
     /// `δfᵢⱼ` of the pair in `lane` for eight parameters at once, from the changes of both particles
     /// and, at fixed stress, of the physical parameters.
     fn tangent<W: Wide>(
@@ -221,6 +228,22 @@ impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
 }
 
 impl<const D: usize> StoredSlope<D> for CentralSlope<Lanes, D> {
+    #[inline(always)]
+    fn is_zero(&self, lane: usize) -> bool {
+        if self.value.lane(lane) != 0.0 {
+            return false;
+        }
+        let mut size = self.by_density.lane(lane).abs();
+        for axis in 0..D {
+            size += self.by_separation[axis].lane(lane).abs();
+            size += self.by_velocity[axis].lane(lane).abs();
+        }
+        for by in self.by_stress.iter().chain(&self.by_parameter) {
+            size += by.lane(lane).abs();
+        }
+        size == 0.0
+    }
+
     #[inline(always)]
     fn tangent<W: Wide>(
         &self,
