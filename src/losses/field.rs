@@ -2,7 +2,7 @@
 
 use super::mesh::Mesh;
 use super::rows::{Lattice, Rows, load_at, store_at};
-use super::{SquareSum, StateAdjoint};
+use super::{Panel, SquareSum, StateAdjoint};
 use crate::cells::Cells;
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::{Packed, PackedSensitivity, PackedSingle};
@@ -363,16 +363,18 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
     #[inline(always)]
     fn run<W: Wide>(self) -> SquareSum {
         let Self { search, mesh, blocks, first, truth, weight } = self;
-        let mut sum = SquareSum::new(blocks.len());
+        let (mut sum, mut panel) = (SquareSum::new(blocks.len()), Panel::default());
         let mut columns = vec![Lanes::ZERO; blocks.len() * D];
         let mut near = Chunk::default();
         for (k, expected) in truth.iter().enumerate() {
             let (x, room) = (mesh.node(first + k), (&mut columns[..], &mut near));
             let difference = search.velocity_tangent::<W>(x, blocks, room) - *expected;
             for axis in 0..D {
-                sum.add(weight, difference[axis], |b| columns[b * D + axis]);
+                let columns = |b: usize| columns[b * D + axis];
+                panel.add::<W>((weight, difference[axis]), columns, &mut sum);
             }
         }
+        panel.finish::<W>(&mut sum);
         sum
     }
 }

@@ -20,7 +20,7 @@ pub use mesh::Mesh;
 pub use statistical::{statistical_adjoint, statistical_loss};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
-use crate::scalar::{Lanes, WIDTH};
+use crate::scalar::{Lanes, WIDTH, Wide};
 use crate::vector::Vector;
 
 /// A loss of one frame, with its derivatives by the state of every particle.
@@ -62,7 +62,7 @@ pub struct SquareSum {
     pub value: f64,
     /// `½ ∂value/∂θ = Σ w R J`, in blocks of eight parameters.
     half_gradient: Vec<Lanes>,
-    /// `Σ w J Jᵀ`: row `a`, then blocks.
+    /// `Σ w J Jᵀ`: row `a`, then blocks, from the row's own on; the rest follows by symmetry.
     normal: Vec<Lanes>,
 }
 
@@ -79,15 +79,46 @@ impl SquareSum {
     /// Adds one residual whose derivative by the parameters of block `b` is `columns(b)`.
     #[inline(always)]
     pub fn add(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
-        self.value += weight * residual * residual;
+        self.add_gradient(weight, residual, &columns);
         let blocks = self.half_gradient.len();
         for b in 0..blocks {
-            let weighted = columns(b) * weight;
-            self.half_gradient[b] += weighted * residual;
-            for (lane, slope) in weighted.to_array().into_iter().enumerate() {
+            for (lane, slope) in (columns(b) * weight).to_array().into_iter().enumerate() {
                 let row = (b * WIDTH + lane) * blocks;
-                for other in 0..blocks {
+                for other in b..blocks {
                     self.normal[row + other] += columns(other) * slope;
+                }
+            }
+        }
+    }
+
+    /// As [`Self::add`], but for the matrix.
+    #[inline(always)]
+    fn add_gradient(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
+        self.value += weight * residual * residual;
+        for (b, half) in self.half_gradient.iter_mut().enumerate() {
+            *half += columns(b) * (weight * residual);
+        }
+    }
+
+    /// Adds the matrix of as many residuals as there are `weights`; `columns` holds the blocks of each.
+    #[inline(always)]
+    fn add_normal<W: Wide>(&mut self, weights: &[f64], columns: &[Lanes]) {
+        let blocks = self.half_gradient.len();
+        for b in 0..blocks {
+            for other in b..blocks {
+                let place = |lane: usize| (b * WIDTH + lane) * blocks + other;
+                let mut tile = [W::of(0.0); WIDTH];
+                for (lane, tile) in tile.iter_mut().enumerate() {
+                    *tile = W::load(&self.normal[place(lane)]);
+                }
+                for (row, &weight) in columns.chunks_exact(blocks).zip(weights) {
+                    let right = W::load(&row[other]) * weight;
+                    for (lane, tile) in tile.iter_mut().enumerate() {
+                        *tile += right * row[b].lane(lane);
+                    }
+                }
+                for (lane, tile) in tile.iter().enumerate() {
+                    self.normal[place(lane)] = tile.store();
                 }
             }
         }
@@ -113,11 +144,51 @@ impl SquareSum {
     /// The Gauss–Newton matrix `Σ w J Jᵀ` of the first `count` parameters, row by row.
     pub fn normal(&self, count: usize) -> Vec<f64> {
         let blocks = self.half_gradient.len();
-        let row = |a: usize| {
-            let lanes = &self.normal[a * blocks..(a + 1) * blocks];
-            lanes.iter().flat_map(|lanes| lanes.to_array()).take(count)
+        let entry = |a: usize, b: usize| {
+            let (a, b) = if a / WIDTH <= b / WIDTH { (a, b) } else { (b, a) };
+            self.normal[a * blocks + b / WIDTH].lane(b % WIDTH)
         };
-        (0..count).flat_map(row).collect()
+        (0..count).flat_map(|a| (0..count).map(move |b| entry(a, b))).collect()
+    }
+}
+
+/// Residuals whose share of the Gauss–Newton matrix is added many at once, so that each part of the
+/// matrix stays in registers meanwhile.
+#[derive(Debug, Default)]
+pub(crate) struct Panel {
+    weights: Vec<f64>,
+    columns: Vec<Lanes>,
+}
+
+impl Panel {
+    /// Residuals in a panel.
+    const ROWS: usize = 48;
+
+    /// Adds one residual to a sum, whose derivative by the parameters of block `b` is `columns(b)`; the
+    /// matrix is not complete before [`Self::finish`].
+    #[inline(always)]
+    pub(crate) fn add<W: Wide>(
+        &mut self,
+        (weight, residual): (f64, f64),
+        columns: impl Fn(usize) -> Lanes,
+        sum: &mut SquareSum,
+    ) {
+        sum.add_gradient(weight, residual, &columns);
+        for b in 0..sum.half_gradient.len() {
+            self.columns.push(columns(b));
+        }
+        self.weights.push(weight);
+        if self.weights.len() == Self::ROWS {
+            self.finish::<W>(sum);
+        }
+    }
+
+    /// Adds to the matrix what is still missing.
+    #[inline(always)]
+    pub(crate) fn finish<W: Wide>(&mut self, sum: &mut SquareSum) {
+        sum.add_normal::<W>(&self.weights, &self.columns);
+        self.weights.clear();
+        self.columns.clear();
     }
 }
 
@@ -171,5 +242,30 @@ mod tests {
         let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-14);
         assert!(near(&[sum.value], &[value]));
         assert!(near(&sum.gradient(3), &gradient) && near(&sum.normal(3), &normal));
+    }
+
+    #[test]
+    fn a_panel_adds_what_its_residuals_add_one_by_one() {
+        const BLOCKS: usize = 3;
+        let column = |k: usize, b: usize| {
+            let mut lanes = Lanes::ZERO;
+            (0..WIDTH).for_each(|l| lanes.set_lane(l, ((7 * k + 3 * b + l) % 11) as f64 - 4.5));
+            lanes
+        };
+        let (mut one, mut many) = (SquareSum::new(BLOCKS), SquareSum::new(BLOCKS));
+        let mut panel = Panel::default();
+        for k in 0..2 * Panel::ROWS + 5 {
+            let (weight, residual) = (1.0 / (1.0 + k as f64), 0.3 * k as f64 - 2.0);
+            one.add(weight, residual, |b| column(k, b));
+            panel.add::<Lanes>((weight, residual), |b| column(k, b), &mut many);
+        }
+        panel.finish::<Lanes>(&mut many);
+        let count = BLOCKS * WIDTH;
+        assert_eq!((one.value, one.gradient(count)), (many.value, many.gradient(count)));
+        let (one, many) = (one.normal(count), many.normal(count));
+        for (a, b) in one.iter().zip(&many) {
+            assert!((a - b).abs() < 1e-12 * (1.0 + a.abs()), "{a} {b}");
+        }
+        assert!((0..count).all(|a| (0..count).all(|b| many[a * count + b] == many[b * count + a])));
     }
 }
