@@ -322,7 +322,10 @@ impl<const D: usize> Neighbours<D> {
             });
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
-        let mut chunks = Arc::try_unwrap(std::mem::take(&mut self.chunks)).unwrap_or_default();
+        if Arc::get_mut(&mut self.chunks).is_none() {
+            self.chunks = Arc::default();
+        }
+        let Some(chunks) = Arc::get_mut(&mut self.chunks) else { return };
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches) = (&self.columns, &self.benches);
         let position = &|slot: usize| position(cells.row_of_slot[slot] as usize);
@@ -336,7 +339,6 @@ impl<const D: usize> Neighbours<D> {
             chunk.copy_from(&bench.lists);
             benches.lock().unwrap_or_else(PoisonError::into_inner).push(bench);
         });
-        self.chunks = Arc::new(chunks);
     }
 }
 

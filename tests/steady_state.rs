@@ -1,0 +1,66 @@
+//! A flow that has found its memory asks for no more.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
+#![allow(unsafe_code, reason = "an allocator that counts has no other way")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use whirls::systems::neighbours::Neighbours;
+use whirls::{Flow, Scene};
+
+/// The system's allocator, which also counts how often it is asked.
+struct Counting;
+
+static ASKED: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: everything is passed on as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ASKED.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promise is the one asked for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is the one asked for.
+        unsafe { System.dealloc(block, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// How often memory was asked for in 40 steps of a developed flow, and how often lists were built.
+fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
+    let more: Vec<String> = more.iter().map(|&text| text.to_owned()).collect();
+    let scene = Scene::open(name, &more).unwrap();
+    let mut flow = Flow::<D>::new(&scene).unwrap();
+    let rebuilds = |flow: &Flow<D>| flow.world().resource::<Neighbours<D>>().rebuilds;
+    let mut found = (0, 0);
+    // On a thread of the pool: whoever comes from outside hands his work over in a box.
+    rayon::scope(|_| {
+        (0..20).for_each(|_| flow.step().unwrap());
+        let before = (ASKED.load(Ordering::Relaxed), rebuilds(&flow));
+        (0..40).for_each(|_| flow.step().unwrap());
+        found = (ASKED.load(Ordering::Relaxed) - before.0, rebuilds(&flow) - before.1);
+    });
+    println!("{name} {more:?}: asked {} times in 40 steps with {} builds", found.0, found.1);
+    found
+}
+
+/// One test, so that nobody else allocates meanwhile.
+#[test]
+fn a_flow_that_has_found_its_memory_allocates_nothing_in_a_step() {
+    let mixed = "precision='mixed'";
+    let step = "time.step='kick-drift-kick'";
+    for (asked, builds) in [
+        asked::<2>("inverse-2d", &[]),
+        asked::<3>("inverse-3d", &[]),
+        asked::<3>("inverse-3d", &[step, mixed]),
+        asked::<3>("inverse-3d", &["forcing={kind='none'}"]),
+    ] {
+        assert!(builds > 4, "the lists were built anew");
+        assert_eq!(asked, 0);
+    }
+}
