@@ -1,9 +1,6 @@
 //! Eight numbers that move together: the SIMD direction of every hot loop.
 
-use super::wide::{
-    compress_in_two, keep_others_by_loop, keep_places_by_loop, near_box_by_loop, near_by_loop,
-    reading_of, separation_of,
-};
+use super::wide::{reading_of, separation_of};
 use super::{Scalar, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -255,48 +252,5 @@ impl Wide for Lanes {
     #[inline(always)]
     fn power_of_two(shifted: Self) -> Self {
         in_every_lane!(|L| f64::from_bits((shifted.0[L].to_bits() << 52).wrapping_add(1023 << 52)))
-    }
-    #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
-        here: [i32; D],
-        first: usize,
-        limits: [f32; 2],
-    ) -> [u16; 2] {
-        near_by_loop(columns, here, first, limits)
-    }
-    #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        around: ([i32; D], f32),
-        first: usize,
-        limit: f32,
-    ) -> u16 {
-        near_box_by_loop(columns, around, first, limit)
-    }
-    #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
-        keep_places_by_loop(mask, columns, first, kept, to);
-    }
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        keep_others_by_loop(mask, slots, own, kept)
-    }
-    #[inline(always)]
-    fn fetch(_: &Self::Line) {}
-    #[inline(always)]
-    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_in_two(mask, first, kept);
     }
 }

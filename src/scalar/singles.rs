@@ -1,9 +1,6 @@
 //! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
 
-use super::wide::{
-    FAR, compress_in_two, keep_others_by_loop, keep_places_by_loop, near_box_by_loop, near_by_loop,
-    unit,
-};
+use super::wide::{FAR, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -188,48 +185,5 @@ impl Wide for Singles {
     #[inline(always)]
     fn power_of_two(shifted: Self) -> Self {
         Self::narrow(Lanes::power_of_two(shifted.widen()))
-    }
-    #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
-        here: [i32; D],
-        first: usize,
-        limits: [f32; 2],
-    ) -> [u16; 2] {
-        near_by_loop(columns, here, first, limits)
-    }
-    #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        around: ([i32; D], f32),
-        first: usize,
-        limit: f32,
-    ) -> u16 {
-        near_box_by_loop(columns, around, first, limit)
-    }
-    #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
-        keep_places_by_loop(mask, columns, first, kept, to);
-    }
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        keep_others_by_loop(mask, slots, own, kept)
-    }
-    #[inline(always)]
-    fn fetch(_: &Self::Line) {}
-    #[inline(always)]
-    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_in_two(mask, first, kept);
     }
 }

@@ -80,42 +80,60 @@ pub trait Wide: Scalar {
     fn power_of_two(shifted: Self) -> Self;
     /// Which of the sixteen places from number `first` on are nearer to `here` than two limits on the
     /// square of the distance, in fixed-point steps: one bit each, the first lowest.
+    #[inline(always)]
     fn near<const D: usize>(
         columns: &[Vec<i32>; D],
         here: [i32; D],
         first: usize,
         limits: [f32; 2],
-    ) -> [u16; 2];
+    ) -> [u16; 2] {
+        near_by_loop(columns, here, first, limits)
+    }
     /// Which of the sixteen places from number `first` on are nearer than a limit to a box: its middle and
     /// half its width, in fixed-point steps; `limit` is on the square of the distance.
+    #[inline(always)]
     fn near_box<const D: usize>(
         columns: &[Vec<i32>; D],
         around: ([i32; D], f32),
         first: usize,
         limit: f32,
-    ) -> u16;
+    ) -> u16 {
+        near_box_by_loop(columns, around, first, limit)
+    }
     /// Copies those of the sixteen places from number `first` on that are in a mask, in order, to number
     /// `to` and the following; what comes behind them, up to sixteen, is anything.
+    #[inline(always)]
     fn keep_places<const D: usize>(
         mask: u16,
         columns: &[Vec<i32>; D],
         first: usize,
         kept: &mut [Vec<i32>; D],
         to: usize,
-    );
+    ) {
+        keep_places_by_loop(mask, columns, first, kept, to);
+    }
     /// Writes those of sixteen slots that are in a mask, without the slot `own`, in order, to the front of
     /// `kept`, and says how many; what comes behind them is anything.
+    #[inline(always)]
     fn keep_others(
         mask: u16,
         slots: &[u32; 2 * WIDTH],
         own: u32,
         kept: &mut [u32; 2 * WIDTH],
-    ) -> usize;
+    ) -> usize {
+        keep_others_by_loop(mask, slots, own, kept)
+    }
     /// Asks for a line that will be needed soon; a hint, which changes no result.
-    fn fetch(line: &Self::Line);
+    #[inline(always)]
+    fn fetch(line: &Self::Line) {
+        let _ = line;
+    }
     /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
     /// them is anything.
-    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]);
+    #[inline(always)]
+    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+        compress_in_two(mask, first, kept);
+    }
 
     /// The sum over the lanes, always paired in the same order.
     #[inline(always)]
@@ -285,7 +303,7 @@ fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
 
 /// [`Wide::near`] place by place.
 #[inline(always)]
-pub(super) fn near_by_loop<const D: usize>(
+fn near_by_loop<const D: usize>(
     columns: &[Vec<i32>; D],
     here: [i32; D],
     first: usize,
@@ -307,7 +325,7 @@ pub(super) fn near_by_loop<const D: usize>(
 
 /// [`Wide::near_box`] place by place.
 #[inline(always)]
-pub(super) fn near_box_by_loop<const D: usize>(
+fn near_box_by_loop<const D: usize>(
     columns: &[Vec<i32>; D],
     (middle, half): ([i32; D], f32),
     first: usize,
@@ -328,7 +346,7 @@ pub(super) fn near_box_by_loop<const D: usize>(
 
 /// [`Wide::keep_places`] place by place.
 #[inline(always)]
-pub(super) fn keep_places_by_loop<const D: usize>(
+fn keep_places_by_loop<const D: usize>(
     mask: u16,
     columns: &[Vec<i32>; D],
     first: usize,
@@ -346,7 +364,7 @@ pub(super) fn keep_places_by_loop<const D: usize>(
 
 /// [`Wide::keep_others`] place by place.
 #[inline(always)]
-pub(super) fn keep_others_by_loop(
+fn keep_others_by_loop(
     mask: u16,
     slots: &[u32; 2 * WIDTH],
     own: u32,
@@ -363,7 +381,7 @@ pub(super) fn keep_others_by_loop(
 
 /// [`Wide::compress`] by table.
 #[inline(always)]
-pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
+fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
     let [low, high] = mask.to_le_bytes();
     let mut half = [0; WIDTH];
     compress_by_table(low, first, &mut half);
@@ -371,4 +389,58 @@ pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]
     compress_by_table(high, first + WIDTH as u32, &mut half);
     let place = low.count_ones() as usize;
     kept[place..place + WIDTH].copy_from_slice(&half);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Everything that sifts sixteen places, over a few columns of them.
+    #[derive(Clone)]
+    struct Sift<'a> {
+        columns: &'a [Vec<i32>; 3],
+        slots: &'a [u32; 2 * WIDTH],
+    }
+
+    impl Pass for Sift<'_> {
+        type Output = (Vec<u16>, Vec<i32>, Vec<u32>);
+
+        #[inline(always)]
+        fn run<W: Wide>(self) -> Self::Output {
+            let Self { columns, slots } = self;
+            let (mut masks, mut places, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
+            for first in 0..2 * WIDTH {
+                let here = [columns[0][first], columns[1][first], columns[2][first]];
+                let [near, maybe] = W::near(columns, here, first, [1e18, 2e18]);
+                let mask = W::near_box(columns, (here, 3e8), first, 1.5e18);
+                masks.extend([near, maybe, mask]);
+                let mut kept = [vec![0; 64], vec![0; 64], vec![0; 64]];
+                W::keep_places(mask, columns, first, &mut kept, 5);
+                let count = mask.count_ones() as usize;
+                kept.iter().for_each(|column| places.extend(&column[5..5 + count]));
+                let (mut others, mut all) = ([0; 2 * WIDTH], [0; 2 * WIDTH]);
+                let found = W::keep_others(near, slots, slots[first], &mut others);
+                W::compress(maybe, first as u32, &mut all);
+                numbers.extend(&others[..found]);
+                numbers.extend(&all[..maybe.count_ones() as usize]);
+            }
+            (masks, places, numbers)
+        }
+    }
+
+    #[test]
+    fn places_are_sifted_alike_by_every_instruction_set() {
+        let place = |axis: u32, k: u32| (k + 1).wrapping_mul(2_654_435_761 + 97 * axis) as i32;
+        let column = |axis| (0..4 * WIDTH as u32).map(|k| place(axis, k)).collect();
+        let columns = &[column(0), column(1), column(2)];
+        let slots = &std::array::from_fn(|k| 1000 + 3 * k as u32);
+        for precision in Precision::ALL {
+            let all = on_every_instruction_set(precision, &Sift { columns, slots });
+            let (_, (masks, ..)) = &all[0];
+            assert!(masks.iter().any(|mask| (1..15).contains(&mask.count_ones())), "{masks:?}");
+            for (name, found) in &all[1..] {
+                assert_eq!(*found, all[0].1, "{name}, {}", precision.name());
+            }
+        }
+    }
 }

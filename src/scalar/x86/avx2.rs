@@ -222,10 +222,6 @@ impl Wide for Lanes256 {
         }
         count
     }
-    #[inline(always)]
-    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_in_two(mask, first, kept);
-    }
 }
 
 impl Doubles for Lanes256 {

@@ -9,10 +9,7 @@
 // instructions are used wherever a type does not promise its alignment.
 
 use super::singles::SMALLEST_SINGLE;
-use super::wide::{
-    FAR, LANES_OF, compress_in_two, keep_others_by_loop, keep_places_by_loop, near_box_by_loop,
-    near_by_loop, reading_of, separation_of, unit,
-};
+use super::wide::{FAR, LANES_OF, reading_of, separation_of, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};

@@ -146,47 +146,6 @@ impl Wide for Lanes128 {
         }
         power
     }
-    #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
-        here: [i32; D],
-        first: usize,
-        limits: [f32; 2],
-    ) -> [u16; 2] {
-        near_by_loop(columns, here, first, limits)
-    }
-    #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        around: ([i32; D], f32),
-        first: usize,
-        limit: f32,
-    ) -> u16 {
-        near_box_by_loop(columns, around, first, limit)
-    }
-    #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
-        keep_places_by_loop(mask, columns, first, kept, to);
-    }
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        keep_others_by_loop(mask, slots, own, kept)
-    }
-    #[inline(always)]
-    fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-        compress_in_two(mask, first, kept);
-    }
 }
 
 /// Four numbers, from the `offset`-th on, of eight lines, in registers of SSE2.
