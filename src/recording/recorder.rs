@@ -25,9 +25,10 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 /// Particles become the bytes of their message at once, coloured, in one pass on all threads; checksums,
 /// compressing and writing happen on a thread of their own behind a queue of eight messages, from
 /// which the memory of each cloud comes back to be used again. When the disk cannot keep up the run
-/// waits, and no message is lost. A failure to write is returned by the next call, or by [`finish`](Self::finish). Dropping the recorder (also
-/// while a panic unwinds) completes the file; of a killed run everything up to the last chunk can
-/// be read, and [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give equal bytes.
+/// waits, and no message is lost. A failure to write is returned by the next call, or by
+/// [`finish`](Self::finish). Dropping the recorder (also while a panic unwinds) completes the file; of a
+/// killed run everything up to the last chunk can be read, and [`checkpoint`](Self::checkpoint) ends a
+/// chunk. Equal inputs give equal bytes.
 ///
 /// ```no_run
 /// use whirls::recording::{Flow, Frame, Recorder, RunInfo};
