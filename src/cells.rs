@@ -47,29 +47,8 @@ impl<const D: usize> Cells<D> {
         self.length = space.length;
         let cells = slots.par_iter_mut().with_min_len(FEWEST).enumerate();
         cells.for_each(|(row, cell)| *cell = self.index(self.coordinates(position(row))) as u32);
-        self.count(slots);
-    }
-
-    /// Counting sort by cell: each row's cell becomes its slot.
-    fn count(&mut self, slots: &mut [u32]) {
-        self.start.clear();
-        self.start.resize(self.per_axis.pow(D as u32) + 1, 0);
-        for &cell in &*slots {
-            self.start[cell as usize + 1] += 1;
-        }
-        for cell in 1..self.start.len() {
-            self.start[cell] += self.start[cell - 1];
-        }
-        self.row_of_slot.resize(slots.len(), 0);
-        for (row, cell) in slots.iter_mut().enumerate().rev() {
-            // Filling from the back turns each count's end into its start, and keeps the order.
-            let slot = &mut self.start[*cell as usize + 1];
-            *slot -= 1;
-            self.row_of_slot[*slot as usize] = row as u32;
-            *cell = *slot;
-        }
-        self.start.remove(0);
-        self.start.push(slots.len() as u32);
+        let cells = self.per_axis.pow(D as u32);
+        counting_sort(slots, cells, &mut self.start, &mut self.row_of_slot);
     }
 
     /// Cell coordinates of a position inside the box.
@@ -167,6 +146,35 @@ impl<const D: usize> Cells<D> {
     pub fn bytes(&self) -> usize {
         4 * (self.start.capacity() + self.row_of_slot.capacity())
     }
+}
+
+/// Sorts items by their keys, `0..count`, equal keys in the order of the items: `start` becomes the first
+/// place of each key, and one more at the end, `item_of_place` the item at each place, and every key the
+/// place of its item.
+pub(crate) fn counting_sort(
+    keys: &mut [u32],
+    count: usize,
+    start: &mut Vec<u32>,
+    item_of_place: &mut Vec<u32>,
+) {
+    start.clear();
+    start.resize(count + 1, 0);
+    for &key in &*keys {
+        start[key as usize + 1] += 1;
+    }
+    for key in 1..start.len() {
+        start[key] += start[key - 1];
+    }
+    item_of_place.resize(keys.len(), 0);
+    for (item, key) in keys.iter_mut().enumerate().rev() {
+        // Filling from the back turns each count's end into its start, and keeps the order.
+        let place = &mut start[*key as usize + 1];
+        *place -= 1;
+        item_of_place[*place as usize] = item as u32;
+        *key = *place;
+    }
+    start.remove(0);
+    start.push(keys.len() as u32);
 }
 
 /// Nine rows of cells in 3D, each cut in two at the periodic seam at worst.

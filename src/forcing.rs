@@ -121,8 +121,8 @@ impl EnergyInjection {
     }
 }
 
-/// Sums three numbers over particles: halves of fixed size, so that the bits are those of any number of
-/// threads.
+/// Sums three numbers over particles, by halves: the order depends on how many they are alone, so that
+/// any number of threads gives the same bits.
 fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
     let [mut a, b] = if particles.len() <= FEWEST {
         let mut sum = [0.0; 3];

@@ -6,7 +6,7 @@ use super::particles::{
     AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
 };
 use crate::cells::FEWEST;
-use crate::models::{Change, Medium, Model, Parameter, Room};
+use crate::models::{Change, Medium, Model, Parameter, Room, StressSlope};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
 use crate::pairs::{AHEAD, CHUNK, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
@@ -221,22 +221,33 @@ impl<const D: usize> StressTangent<'_, '_, D> {
             for (lane, slope) in slopes.iter_mut().enumerate() {
                 *slope = stress.by_density.lane(lane);
             }
+            let weights = with_weights.then_some(&room.weights[..]);
             for (lines, columns) in blocks.iter_mut().zip(columns) {
                 let lines = &mut lines[number * WIDTH..][..slopes.len()];
-                let density = &columns.density[first + number * WIDTH..];
-                for (lane, line) in lines.iter_mut().enumerate() {
-                    line.density = density[lane];
-                    line.stress = density[lane] * slopes[lane];
-                    for (direction, slope) in columns.directions.iter().zip(&stress.by_parameter) {
-                        line.stress += *direction * slope.lane(lane);
-                    }
-                    if with_weights {
-                        for &(column, weight) in columns.weights {
-                            let slope = line.stress.lane(column) + room.weights[weight].lane(lane);
-                            line.stress.set_lane(column, slope);
-                        }
-                    }
-                }
+                columns.fill(first + number * WIDTH, lines, (&stress, weights));
+            }
+        }
+    }
+}
+
+impl StressColumns<'_> {
+    /// `δρ` and `δA` of up to eight particles from slot `first` on.
+    fn fill<const D: usize>(
+        &self,
+        first: usize,
+        lines: &mut [PackedSensitivity<D>],
+        (stress, by_weight): (&StressSlope, Option<&[Lanes]>),
+    ) {
+        for (lane, (line, &density)) in lines.iter_mut().zip(&self.density[first..]).enumerate() {
+            line.density = density;
+            line.stress = density * stress.by_density.lane(lane);
+            for (direction, slope) in self.directions.iter().zip(&stress.by_parameter) {
+                line.stress += *direction * slope.lane(lane);
+            }
+            let Some(by_weight) = by_weight else { continue };
+            for &(column, weight) in self.weights {
+                let slope = line.stress.lane(column) + by_weight[weight].lane(lane);
+                line.stress.set_lane(column, slope);
             }
         }
     }

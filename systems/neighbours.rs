@@ -5,7 +5,7 @@
 //! lists hold directed pairs in a fixed order, so that every sum has the same bits for any number of
 //! threads. The skin buys speed only: pairs between `2h` and `2h + skin` contribute exact zeros.
 
-use super::particles::{Acceleration, Cloud, Position, Velocity, whole_column};
+use super::particles::{Acceleration, Cloud, Pool, Position, Velocity, whole_column};
 use super::verlet::Integrator;
 use crate::cells::{Cells, FEWEST};
 use crate::packed::PackedSingle;
@@ -15,7 +15,7 @@ use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// What a thread needs while it builds the lists of a chunk, used again for the next.
 #[derive(Clone, Debug)]
@@ -194,7 +194,7 @@ pub struct Neighbours<const D: usize> {
     reference: Option<Vec<Vector<f64, D>>>,
     /// Fixed-point coordinates in cell order at the last rebuild, with two [`WIDTH`] more.
     columns: [Vec<i32>; D],
-    benches: Mutex<Vec<Workbench<D>>>,
+    benches: Pool<Workbench<D>>,
 }
 
 impl<const D: usize> Neighbours<D> {
@@ -210,7 +210,7 @@ impl<const D: usize> Neighbours<D> {
             valid: false,
             reference: None,
             columns: std::array::from_fn(|_| Vec::new()),
-            benches: Mutex::default(),
+            benches: Pool::default(),
         }
     }
 
@@ -322,23 +322,22 @@ impl<const D: usize> Neighbours<D> {
             });
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
-        if Arc::get_mut(&mut self.chunks).is_none() {
-            self.chunks = Arc::default();
-        }
-        let Some(chunks) = Arc::get_mut(&mut self.chunks) else { return };
+        let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches) = (&self.columns, &self.benches);
         let position = &|slot: usize| position(cells.row_of_slot[slot] as usize);
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
-            // A poisoned lock only means that another thread's work panicked; benches hold no state.
-            let bench = benches.lock().unwrap_or_else(PoisonError::into_inner).pop();
-            let mut bench = bench.unwrap_or_default();
             let first = number * CHUNK;
             let pass = ListPass { first, columns, position, cells, space, reach };
-            dispatch((pass, &mut bench));
-            chunk.copy_from(&bench.lists);
-            benches.lock().unwrap_or_else(PoisonError::into_inner).push(bench);
+            benches.lend(Workbench::default, |bench| {
+                dispatch((pass, &mut *bench));
+                chunk.copy_from(&bench.lists);
+            });
         });
+        match Arc::get_mut(&mut self.chunks) {
+            Some(own) => *own = chunks,
+            None => self.chunks = Arc::new(chunks),
+        }
     }
 }
 

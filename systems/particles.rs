@@ -73,7 +73,7 @@ pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
 
 /// All rows of a component: where they lie, if all are together, or copied together from the tables
 /// that they are spread over.
-pub fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'a, [T]> {
+pub(super) fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'a, [T]> {
     let first = parts.next().unwrap_or_default();
     let Some(second) = parts.next() else { return Cow::Borrowed(first) };
     let mut whole = [first, second].concat();
@@ -82,7 +82,7 @@ pub fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> C
 }
 
 /// The chunks of columns of equal length, chunk by chunk.
-pub(crate) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
+pub(super) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
     let mut chunks: Vec<Vec<&mut [T]>> = Vec::new();
     for column in columns {
         for (number, part) in column.chunks_mut(CHUNK).enumerate() {
@@ -219,18 +219,35 @@ pub struct SensitivityCloud<const D: usize> {
     pub weight_shares: Vec<f64>,
 }
 
-/// Rooms in which threads evaluate the model: as many as were ever needed at once.
+/// What threads need for a while and leave to the next: as many as were ever needed at once.
+#[derive(Debug)]
+pub(super) struct Pool<T>(Mutex<Vec<T>>);
+
+impl<T> Default for Pool<T> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+impl<T> Pool<T> {
+    /// Calls `work` with one of them, made where all are in use.
+    pub(super) fn lend<R>(&self, make: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
+        // A poisoned lock only means that another thread's work panicked; what is lent holds no state.
+        let taken = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut lent = taken.unwrap_or_else(make);
+        let result = work(&mut lent);
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(lent);
+        result
+    }
+}
+
+/// Rooms in which threads evaluate the model.
 #[derive(Resource, Debug, Default)]
-pub struct Rooms(Mutex<Vec<Room>>);
+pub struct Rooms(Pool<Room>);
 
 impl Rooms {
     /// Calls `work` with a room for this network.
     pub fn enter<T>(&self, network: Option<&Learned>, work: impl FnOnce(&mut Room) -> T) -> T {
-        // A poisoned lock only means that another thread's work panicked; rooms hold no state.
-        let taken = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut room = taken.unwrap_or_else(|| Room::new(network));
-        let result = work(&mut room);
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(room);
-        result
+        self.0.lend(|| Room::new(network), work)
     }
 }

@@ -167,6 +167,8 @@ pub fn rewind_evaluation<const D: usize>(
     std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
     std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
     neighbours.chunks = std::mem::take(&mut evaluation.chunks);
+    // They are older than the cells: whoever goes forward from here builds both anew.
+    neighbours.invalidate();
     cloud.round(neighbours.space);
     clock.evaluated = evaluation.step;
     tape.discard(evaluation);

@@ -6,13 +6,15 @@
 //! [`statistical_loss`] is a divergence: a [`GradientSum`], for gradient descent only.
 
 mod field;
+mod field_tangent;
 mod increments;
 mod mesh;
 mod rows;
 mod statistical;
 mod trajectory;
 
-pub use field::{Points, field, field_adjoint, field_loss, field_value};
+pub use field::{Points, field, field_adjoint, field_value};
+pub use field_tangent::field_loss;
 pub use increments::{
     Density1d, FEWEST_NODES, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
 };

@@ -8,6 +8,7 @@
 
 mod dual;
 mod lanes;
+mod sift;
 mod singles;
 mod wide;
 #[cfg(target_arch = "x86_64")]

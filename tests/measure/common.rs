@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each benchmark uses some of these")]
 
-use clap::Parser;
+use clap::{Args, Parser};
 use std::time::Instant;
 use whirls::scalar::Precision;
 use whirls::scene::Learn;
@@ -47,6 +47,50 @@ impl Arguments {
         }
         rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global().unwrap();
         arguments
+    }
+}
+
+/// Which flows a benchmark of steps runs.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct Flows {
+    /// A small flow, once: whether it runs, not how fast.
+    #[arg(long)]
+    pub(crate) quick: bool,
+    /// Threads of the simulation.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) threads: usize,
+    /// How often everything is measured.
+    #[arg(long, default_value_t = 9)]
+    pub(crate) rounds: usize,
+    /// Particles along a side, one after another.
+    #[arg(long, value_delimiter = ',', default_value = "16,32,64")]
+    pub(crate) sides: Vec<usize>,
+    /// Smoothing lengths in particle distances: 0.853 has 20 neighbours, 1.2 has 57.
+    #[arg(long, value_delimiter = ',', default_value = "0.853,1.2")]
+    pub(crate) widths: Vec<f64>,
+    /// That Cargo means to measure, and not to test.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+impl Flows {
+    /// Those of the command line, with the threads that they ask for; `cargo test` gets the quick run,
+    /// whatever it asks for.
+    pub(crate) fn read<A: Parser>(flows: impl Fn(&mut A) -> &mut Self) -> A {
+        let measured = std::env::args().any(|argument| argument == "--bench");
+        let tested = ["measure", "--quick"];
+        let mut arguments = if measured { A::parse() } else { A::parse_from(tested) };
+        let own = flows(&mut arguments);
+        if own.quick {
+            (own.rounds, own.sides) = (1, vec![8]);
+        }
+        rayon::ThreadPoolBuilder::new().num_threads(own.threads).build_global().unwrap();
+        arguments
+    }
+
+    /// Every size with every smoothing length.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.sides.iter().flat_map(|&side| self.widths.iter().map(move |&width| (side, width)))
     }
 }
 

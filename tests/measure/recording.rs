@@ -7,7 +7,7 @@
 mod common;
 
 use clap::Parser;
-use common::{Run, in_turn};
+use common::{Flows, Run, in_turn};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use whirls::recording::{self, Recorder};
@@ -17,55 +17,31 @@ use whirls::{Flow, Scene};
 /// Measures what recording every step costs, and prints it.
 #[derive(Clone, Debug, Parser)]
 struct Arguments {
-    /// A small flow, once: whether it runs, not how fast.
-    #[arg(long)]
-    quick: bool,
-    /// Threads of the simulation; the recorder has one of its own.
-    #[arg(long, default_value_t = 1)]
-    threads: usize,
-    /// How often everything is measured.
-    #[arg(long, default_value_t = 9)]
-    rounds: usize,
-    /// Particles along a side, one after another.
-    #[arg(long, value_delimiter = ',', default_value = "16,32,64")]
-    sides: Vec<usize>,
-    /// Smoothing lengths in particle distances: 0.853 has 20 neighbours, 1.2 has 57.
-    #[arg(long, value_delimiter = ',', default_value = "0.853,1.2")]
-    widths: Vec<f64>,
+    #[command(flatten)]
+    flows: Flows,
     /// A key of the scene to change, as in `record.every=4`; may be given several times.
     #[arg(long)]
     set: Vec<String>,
     /// Where the recordings go [default: a temporary folder].
     #[arg(long)]
     folder: Option<PathBuf>,
-    /// That Cargo means to measure, and not to test.
-    #[arg(long, hide = true)]
-    bench: bool,
 }
 
 fn main() {
-    let measured = std::env::args().any(|argument| argument == "--bench");
-    let mut arguments =
-        if measured { Arguments::parse() } else { Arguments::parse_from(["recording", "--quick"]) };
-    if arguments.quick {
-        (arguments.rounds, arguments.sides) = (1, vec![8]);
-    }
-    rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global().unwrap();
+    let arguments = Flows::read(|arguments: &mut Arguments| &mut arguments.flows);
     let temporary = tempfile::tempdir().unwrap();
     let folder = arguments.folder.as_deref().unwrap_or(temporary.path());
     println!(
         "3D, kick-drift-kick, medians of {} rounds; a frame is kept after every step, \
          and the time ends when the file is complete\n",
-        arguments.rounds
+        arguments.flows.rounds
     );
     println!(
         "| N | neighbours | threads | ms a step | recorded | ratio | bytes/N a frame | MB/s |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for &side in &arguments.sides {
-        for &width in &arguments.widths {
-            Contestant::new(&arguments, (side, width)).print(&arguments, folder);
-        }
+    for size in arguments.flows.all() {
+        Contestant::new(&arguments, size).print(&arguments, folder);
     }
 }
 
@@ -87,7 +63,7 @@ impl Contestant {
         (0..20).for_each(|_| flow.step().unwrap());
         let neighbours = flow.neighbours_per_particle();
         let steps = (3_000_000 / scene.particles()).clamp(10, 200) as u64;
-        Self { scene, flow, neighbours, steps: if arguments.quick { 2 } else { steps } }
+        Self { scene, flow, neighbours, steps: if arguments.flows.quick { 2 } else { steps } }
     }
 
     fn print(self, arguments: &Arguments, folder: &std::path::Path) {
@@ -113,12 +89,12 @@ impl Contestant {
             recorder.finish().unwrap().bytes as usize
         };
         let mut recorded: Vec<Run<'_>> = vec![Box::new(recorded)];
-        let took = in_turn(arguments.rounds, Box::new(plain), &mut recorded);
+        let took = in_turn(arguments.flows.rounds, Box::new(plain), &mut recorded);
         let (each, n) = (1.0 / steps as f64, scene.particles() as f64);
         let bytes = took[1].bytes as f64;
         println!(
             "| {n} | {neighbours:.0} | {} | {:.2} | {:.2} | **{:.2}** | {:.1} | {:.0} |",
-            arguments.threads,
+            arguments.flows.threads,
             took[0].milliseconds * each,
             took[1].milliseconds * each,
             took[1].ratio,

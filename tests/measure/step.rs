@@ -8,7 +8,7 @@ mod common;
 
 use bevy_ecs::system::RunSystemOnce;
 use clap::Parser;
-use common::{Run, Took, in_turn, median};
+use common::{Flows, Run, Took, in_turn, median};
 use std::hint::black_box;
 use whirls::models::Medium;
 use whirls::pairs::Pair;
@@ -26,42 +26,20 @@ use whirls::{Flow, Scene};
 /// Measures what a step costs, and prints it.
 #[derive(Clone, Debug, Parser)]
 struct Arguments {
-    /// A small flow, once: whether it runs, not how fast.
-    #[arg(long)]
-    quick: bool,
-    /// Threads.
-    #[arg(long, default_value_t = 1)]
-    threads: usize,
-    /// How often everything is measured.
-    #[arg(long, default_value_t = 9)]
-    rounds: usize,
-    /// Particles along a side, one after another.
-    #[arg(long, value_delimiter = ',', default_value = "16,32,64")]
-    sides: Vec<usize>,
-    /// Smoothing lengths in particle distances: 0.853 has 20 neighbours, 1.2 has 57.
-    #[arg(long, value_delimiter = ',', default_value = "0.853,1.2")]
-    widths: Vec<f64>,
+    #[command(flatten)]
+    flows: Flows,
     /// Skin of the neighbour lists in smoothing lengths [default: the scenes'].
     #[arg(long)]
     skin: Option<f64>,
-    /// That Cargo means to measure, and not to test.
-    #[arg(long, hide = true)]
-    bench: bool,
 }
 
 fn main() {
-    let measured = std::env::args().any(|argument| argument == "--bench");
-    let mut arguments =
-        if measured { Arguments::parse() } else { Arguments::parse_from(["step", "--quick"]) };
-    if arguments.quick {
-        (arguments.rounds, arguments.sides) = (1, vec![8]);
-    }
-    rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global().unwrap();
+    let arguments = Flows::read(|arguments: &mut Arguments| &mut arguments.flows);
     println!(
         "3D, kick-drift-kick, {} threads, medians of {} rounds; nanoseconds\n",
-        arguments.threads, arguments.rounds
+        arguments.flows.threads, arguments.flows.rounds
     );
-    print_floors(arguments.rounds);
+    print_floors(arguments.flows.rounds);
     println!(
         "{:>8} {:>10} {:>9} | {:>8} {:>7} {:>7} {:>8} {:>7} | {:>8} {:>7} {:>7} | {:>6} {:>6} {:>6} {:>6} {:>8}",
         "N",
@@ -81,11 +59,9 @@ fn main() {
         "builds",
         "bytes/N",
     );
-    for &side in &arguments.sides {
-        for &width in &arguments.widths {
-            for precision in Precision::ALL {
-                Contestant::new(&arguments, (side, width), precision).print(&arguments);
-            }
+    for size in arguments.flows.all() {
+        for precision in Precision::ALL {
+            Contestant::new(&arguments, size, precision).print(&arguments);
         }
     }
     println!(
@@ -205,11 +181,11 @@ impl Contestant {
             Box::new(search),
             Box::new(step),
         ];
-        let took = in_turn(arguments.rounds, Box::new(evaluate), &mut runs);
+        let took = in_turn(arguments.flows.rounds, Box::new(evaluate), &mut runs);
         drop(runs);
         let rebuilds = cell.borrow().world().resource::<Neighbours<3>>().rebuilds - before;
-        let built = rebuilds as f64 - (arguments.rounds + 1) as f64;
-        let each = built / ((arguments.rounds + 1) as f64 * steps as f64);
+        let built = rebuilds as f64 - (arguments.flows.rounds + 1) as f64;
+        let each = built / ((arguments.flows.rounds + 1) as f64 * steps as f64);
         let per = |took: &Took, count: f64| took.milliseconds * 1e6 / count;
         let (n, all) = (self.particles as f64, self.particles as f64 * steps as f64);
         let own = per(&took[0], pairs);

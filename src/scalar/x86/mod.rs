@@ -8,8 +8,9 @@
 // this machine. Pointers come from references to whole values of the size that is read, and unaligned
 // instructions are used wherever a type does not promise its alignment.
 
+use super::sift::LANES_OF;
 use super::singles::SMALLEST_SINGLE;
-use super::wide::{FAR, LANES_OF, reading_of, separation_of, unit};
+use super::wide::{FAR, reading_of, separation_of, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
@@ -269,47 +270,6 @@ macro_rules! wide_singles {
         #[inline(always)]
         fn power_of_two(shifted: Self) -> Self {
             Self::narrow(<$doubles>::power_of_two(shifted.widen()))
-        }
-        #[inline(always)]
-        fn near<const D: usize>(
-            columns: &[Vec<i32>; D],
-            here: [i32; D],
-            first: usize,
-            limits: [f32; 2],
-        ) -> [u16; 2] {
-            <$doubles>::near(columns, here, first, limits)
-        }
-        #[inline(always)]
-        fn near_box<const D: usize>(
-            columns: &[Vec<i32>; D],
-            around: ([i32; D], f32),
-            first: usize,
-            limit: f32,
-        ) -> u16 {
-            <$doubles>::near_box(columns, around, first, limit)
-        }
-        #[inline(always)]
-        fn keep_places<const D: usize>(
-            mask: u16,
-            columns: &[Vec<i32>; D],
-            first: usize,
-            kept: &mut [Vec<i32>; D],
-            to: usize,
-        ) {
-            <$doubles>::keep_places(mask, columns, first, kept, to);
-        }
-        #[inline(always)]
-        fn keep_others(
-            mask: u16,
-            slots: &[u32; 2 * WIDTH],
-            own: u32,
-            kept: &mut [u32; 2 * WIDTH],
-        ) -> usize {
-            <$doubles>::keep_others(mask, slots, own, kept)
-        }
-        #[inline(always)]
-        fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
-            <$doubles>::compress(mask, first, kept);
         }
     };
 }
