@@ -71,9 +71,21 @@ impl Chunk {
     /// Begins the list of a slot, of at most so many candidates.
     #[inline(always)]
     pub fn open(&mut self, candidates: usize) {
-        let room = self.filled + candidates + 4 * WIDTH;
-        if self.index.len() < room {
-            self.index.resize(room, 0);
+        self.make_room(self.filled + candidates + 4 * WIDTH);
+    }
+
+    /// How many slots all lists together have room for.
+    pub fn room(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Makes room for so many slots in all lists, and for the lists of [`CHUNK`] slots.
+    #[inline(always)]
+    pub fn make_room(&mut self, slots: usize) {
+        if self.index.len() < slots {
+            self.index.resize(slots, 0);
+            self.start.reserve((CHUNK + 1).saturating_sub(self.start.len()));
+            self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
         }
     }
 

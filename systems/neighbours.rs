@@ -52,6 +52,17 @@ impl<const D: usize> Workbench<D> {
             self.columns.iter_mut().for_each(|column| column.resize(room, 0));
         }
     }
+
+    /// Gives all of them the room of the largest: which thread meets the fullest cells is up to the
+    /// scheduler, and whoever meets them next shall find room.
+    fn level(benches: &mut [Self]) {
+        let candidates = benches.iter().map(|bench| bench.slots.len()).max().unwrap_or_default();
+        let listed = benches.iter().map(|bench| bench.lists.room()).max().unwrap_or_default();
+        for bench in benches {
+            bench.clear(candidates.saturating_sub(4 * WIDTH));
+            bench.lists.make_room(listed);
+        }
+    }
 }
 
 /// What the lists of one chunk are built from.
@@ -334,6 +345,7 @@ impl<const D: usize> Neighbours<D> {
                 chunk.copy_from(&bench.lists);
             });
         });
+        Workbench::level(self.benches.rest());
         match Arc::get_mut(&mut self.chunks) {
             Some(own) => *own = chunks,
             None => self.chunks = Arc::new(chunks),

@@ -12,7 +12,7 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::borrow::Cow;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Number of the particle in its flow, `0..N`: the key under which recordings know it.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
@@ -219,7 +219,7 @@ pub struct SensitivityCloud<const D: usize> {
     pub weight_shares: Vec<f64>,
 }
 
-/// What threads need for a while and leave to the next: as many as were ever needed at once.
+/// What threads need for a while and leave to the next: one for each thread, from the first use on.
 #[derive(Debug)]
 pub(super) struct Pool<T>(Mutex<Vec<T>>);
 
@@ -230,14 +230,31 @@ impl<T> Default for Pool<T> {
 }
 
 impl<T> Pool<T> {
-    /// Calls `work` with one of them, made where all are in use.
-    pub(super) fn lend<R>(&self, make: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
-        // A poisoned lock only means that another thread's work panicked; what is lent holds no state.
-        let taken = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
+    /// Calls `work` with one of them; the first call makes one for each thread, so that it is not left
+    /// to the scheduler when the last of them is made.
+    pub(super) fn lend<R>(&self, make: impl Fn() -> T, work: impl FnOnce(&mut T) -> R) -> R {
+        let taken = {
+            let mut free = self.lock();
+            if free.capacity() == 0 {
+                free.extend((0..rayon::current_num_threads()).map(|_| make()));
+            }
+            free.pop()
+        };
         let mut lent = taken.unwrap_or_else(make);
         let result = work(&mut lent);
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(lent);
+        self.lock().push(lent);
         result
+    }
+
+    /// Everything that is not lent.
+    pub(super) fn rest(&mut self) -> &mut [T] {
+        self.0.get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is not lent; a poisoned lock only means that another thread's work panicked, and what is
+    /// lent holds no state.
+    fn lock(&self) -> MutexGuard<'_, Vec<T>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

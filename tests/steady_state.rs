@@ -38,6 +38,8 @@ fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     let mut flow = Flow::<D>::new(&scene).unwrap();
     let rebuilds = |flow: &Flow<D>| flow.world().resource::<Neighbours<D>>().rebuilds;
     let mut found = (0, 0);
+    // A thread that is still coming up asks for its own memory, so all shall have worked once.
+    rayon::broadcast(|_| ());
     // On a thread of the pool: whoever comes from outside hands his work over in a box.
     rayon::scope(|_| {
         (0..20).for_each(|_| flow.step().unwrap());
