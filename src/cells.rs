@@ -68,22 +68,21 @@ impl<const D: usize> Cells<D> {
         coordinates
     }
 
-    /// The middle of a cell, and half its width, in fixed-point steps.
+    /// The middle of a cell, in fixed-point steps.
     #[inline(always)]
-    pub fn middle(&self, coordinates: [usize; D]) -> ([i32; D], f32) {
+    pub fn middle(&self, coordinates: [usize; D]) -> [i32; D] {
         let width = PackedSingle::STEPS / self.per_axis as f64;
         let mut middle = [0; D];
         for (middle, c) in middle.iter_mut().zip(coordinates) {
             *middle = ((c as f64 + 0.5) * width) as u32 as i32;
         }
-        // Two steps for what was rounded.
-        (middle, (0.5 * width + 2.0) as f32)
+        middle
     }
 
-    /// One behind the last slot of the cell at `coordinates`.
+    /// Slots of the cell at `coordinates`.
     #[inline(always)]
-    pub fn end(&self, coordinates: [usize; D]) -> usize {
-        self.start[self.index(coordinates) + 1] as usize
+    pub fn slots(&self, coordinates: [usize; D]) -> std::ops::Range<usize> {
+        self.range(self.index(coordinates))
     }
 
     #[inline(always)]
@@ -91,18 +90,57 @@ impl<const D: usize> Cells<D> {
         coordinates.iter().rev().fold(0, |index, &c| index * self.per_axis + c)
     }
 
+    /// Number of cells.
+    pub fn count(&self) -> usize {
+        self.per_axis.pow(D as u32)
+    }
+
+    /// Slots of the cell with this number.
+    #[inline(always)]
+    pub fn range(&self, cell: usize) -> std::ops::Range<usize> {
+        self.start[cell] as usize..self.start[cell + 1] as usize
+    }
+
     /// Ranges of slots that together hold every cell that touches the cell at `coordinates`, itself
     /// included, each cell once even where the box is one or two cells wide. Cells side by side along
     /// the first axis come as one range.
     #[inline(always)]
     pub fn around(&self, coordinates: [usize; D]) -> Around {
+        let mut around = Around::NONE;
+        self.for_each_row(coordinates, |row| {
+            along_row(self.per_axis, coordinates[0], |from, to| {
+                around.push(self.start[row + from], self.start[row + to]);
+            });
+        });
+        around
+    }
+
+    /// Calls `see` with the number of every cell that touches the cell with number `cell`, itself
+    /// included, each once.
+    #[inline(always)]
+    pub fn for_each_around(&self, cell: usize, mut see: impl FnMut(usize)) {
+        let (mut coordinates, mut rest) = ([0; D], cell);
+        for coordinate in &mut coordinates {
+            *coordinate = rest % self.per_axis;
+            rest /= self.per_axis;
+        }
+        self.for_each_row(coordinates, |row| {
+            along_row(self.per_axis, coordinates[0], |from, to| {
+                (row + from..row + to).for_each(&mut see);
+            });
+        });
+    }
+
+    /// Calls `see` with the first cell of each row along the first axis that touches the cell at
+    /// `coordinates`.
+    #[inline(always)]
+    fn for_each_row(&self, coordinates: [usize; D], mut see: impl FnMut(usize)) {
         let n = self.per_axis;
         let offsets: &[usize] = match n {
             1 => &[0],
             2 => &[0, 1],
             _ => &[0, 1, n - 1],
         };
-        let mut around = Around::NONE;
         let mut choice = [0; D];
         loop {
             let mut cell = [0; D];
@@ -110,7 +148,7 @@ impl<const D: usize> Cells<D> {
                 let along = coordinates[axis] + offsets[choice[axis]];
                 cell[axis] = if along < n { along } else { along - n };
             }
-            self.along_row(self.index(cell), coordinates[0], &mut around);
+            see(self.index(cell));
             // Count up in base `offsets.len()`, the first axis left out.
             let mut axis = 1;
             while axis < D && choice[axis] + 1 == offsets.len() {
@@ -118,33 +156,30 @@ impl<const D: usize> Cells<D> {
                 axis += 1;
             }
             if axis == D {
-                return around;
+                return;
             }
             choice[axis] += 1;
-        }
-    }
-
-    /// The cells next to number `x` in the row of cells that starts at `row`.
-    #[inline(always)]
-    fn along_row(&self, row: usize, x: usize, around: &mut Around) {
-        let n = self.per_axis;
-        let mut push = |from: usize, to: usize| {
-            around.push(self.start[row + from], self.start[row + to]);
-        };
-        if n <= 3 {
-            return push(0, n);
-        }
-        push(x.saturating_sub(1), (x + 2).min(n));
-        if x == 0 {
-            push(n - 1, n);
-        } else if x + 1 == n {
-            push(0, 1);
         }
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         4 * (self.start.capacity() + self.row_of_slot.capacity())
+    }
+}
+
+/// Calls `see` with the cells next to number `x` in a row of `n`, as one range or, where they are cut by
+/// the seam, two.
+#[inline(always)]
+fn along_row(n: usize, x: usize, mut see: impl FnMut(usize, usize)) {
+    if n <= 3 {
+        return see(0, n);
+    }
+    see(x.saturating_sub(1), (x + 2).min(n));
+    if x == 0 {
+        see(n - 1, n);
+    } else if x + 1 == n {
+        see(0, 1);
     }
 }
 

@@ -68,10 +68,17 @@ impl Chunk {
         self.filled = 0;
     }
 
-    /// Begins the list of a slot, of at most so many candidates.
+    /// Begins the list of a slot, of at most so many candidates: where it goes.
     #[inline(always)]
-    pub fn open(&mut self, candidates: usize) {
+    pub fn open(&mut self, candidates: usize) -> &mut [u32] {
         self.make_room(self.filled + candidates + 4 * WIDTH);
+        &mut self.index[self.filled..]
+    }
+
+    /// Adds the slots that were written to the front of what [`Self::open`] returned.
+    #[inline(always)]
+    pub fn fill(&mut self, slots: usize) {
+        self.filled += slots;
     }
 
     /// How many slots all lists together have room for.
@@ -141,15 +148,6 @@ impl Chunk {
         copy(&mut self.start, &other.start);
         copy(&mut self.seam, &other.seam);
         copy(&mut self.index, &other.index[..other.filled]);
-    }
-
-    /// Appends those of sixteen slots that are in a mask, `own` left out; within what [`Self::open`] has
-    /// made room for.
-    #[inline(always)]
-    pub fn append_others<W: Wide>(&mut self, mask: u16, slots: &[u32; 2 * WIDTH], own: u32) {
-        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
-            self.filled += W::keep_others(mask, slots, own, kept);
-        }
     }
 
     /// Asks for the lines of the neighbours of the chunk's `k`-th slot, if it has one, where all lines do

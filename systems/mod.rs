@@ -26,6 +26,7 @@ pub mod acceleration;
 pub mod density;
 pub mod forcing;
 pub mod loss;
+mod movement;
 pub mod neighbours;
 pub mod particles;
 pub mod tape;

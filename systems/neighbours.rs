@@ -1,10 +1,11 @@
 //! Who may touch whom: a cell list with a skin, and brute force beside it as the oracle.
 //!
 //! Space is cut into cells of at least `2h + skin`; each particle's list holds everyone within that
-//! radius, and stays valid until some particle has moved half a skin. Cost is linear in `N`, and the
+//! radius, and stays valid until two neighbours have moved a skin apart ([`Movement`]). Cost is linear in `N`, and the
 //! lists hold directed pairs in a fixed order, so that every sum has the same bits for any number of
 //! threads. The skin buys speed only: pairs between `2h` and `2h + skin` contribute exact zeros.
 
+use super::movement::Movement;
 use super::particles::{Acceleration, Cloud, Pool, Position, Velocity, whole_column};
 use super::verlet::Integrator;
 use crate::cells::{Cells, FEWEST};
@@ -16,6 +17,10 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::sync::Arc;
+
+/// How far particles may be carried with their neighbours, in supports, before the lists are built anew:
+/// who may meet the seam of the box meanwhile is decided when they are built.
+const CARRIED: f64 = 0.25;
 
 /// What a thread needs while it builds the lists of a chunk, used again for the next.
 #[derive(Clone, Debug)]
@@ -75,7 +80,7 @@ struct ListPass<'a, const D: usize> {
     position: &'a dyn Fn(usize) -> Vector<f64, D>,
     cells: &'a Cells<D>,
     space: PeriodicBox,
-    /// How far the lists reach, and how much of it is skin.
+    /// How far the lists reach, and how far particles may be carried while they are used.
     reach: (f64, f64),
 }
 
@@ -94,8 +99,8 @@ impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>) {
         while slot < end {
             // Particles of one cell follow each other, and look into the same cells.
             let cell = pass.cells.coordinates_of(pass.place(slot));
-            pass.gather::<W>(cell, limits[1], bench);
-            let until = pass.cells.end(cell).min(end);
+            let until = pass.cells.slots(cell).end.min(end);
+            pass.gather::<W>(cell, slot..until, limits[1], bench);
             while slot < until {
                 pass.list::<W>(slot, limits, bench);
                 bench.lists.close(count, pass.is_near_seam(slot));
@@ -103,6 +108,16 @@ impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>) {
             }
         }
     }
+}
+
+/// Columns as slices.
+#[inline(always)]
+fn slices<const D: usize>(columns: &[Vec<i32>; D]) -> [&[i32]; D] {
+    let mut slices = [&[][..]; D];
+    for (slice, column) in slices.iter_mut().zip(columns) {
+        *slice = column;
+    }
+    slices
 }
 
 impl<const D: usize> ListPass<'_, D> {
@@ -116,26 +131,62 @@ impl<const D: usize> ListPass<'_, D> {
         place
     }
 
-    /// Finds everyone within a distance of a cell; `limit` is on its square, in fixed-point steps.
+    /// The smallest box that holds some slots of one cell: its middle and half its width.
     #[inline(always)]
-    fn gather<W: Wide>(&self, cell: [usize; D], limit: f32, bench: &mut Workbench<D>) {
-        let (around, middle) = (self.cells.around(cell), self.cells.middle(cell));
+    fn hull(&self, cell: [usize; D], slots: std::ops::Range<usize>) -> ([i32; D], [f32; D]) {
+        let (mut middle, mut half) = (self.cells.middle(cell), [0.0; D]);
+        for axis in 0..D {
+            let (mut least, mut most) = (i32::MAX, i32::MIN);
+            for &x in &self.columns[axis][slots.clone()] {
+                let from_middle = x.wrapping_sub(middle[axis]);
+                least = least.min(from_middle);
+                most = most.max(from_middle);
+            }
+            // Cells are not wider than the box, and half of that is the largest number here.
+            let width = most.wrapping_sub(least) as u32;
+            middle[axis] = middle[axis].wrapping_add(least).wrapping_add((width / 2) as i32);
+            half[axis] = (width / 2 + 1) as f32;
+        }
+        (middle, half)
+    }
+
+    /// Finds everyone within a distance of some slots of a cell; `limit` is on its square, in fixed-point
+    /// steps.
+    #[inline(always)]
+    fn gather<W: Wide>(
+        &self,
+        cell: [usize; D],
+        slots: std::ops::Range<usize>,
+        limit: f32,
+        bench: &mut Workbench<D>,
+    ) {
+        let (around, hull) = (self.cells.around(cell), self.hull(cell, slots));
         // Singles know the distance from the box to a few parts in ten million.
         let limit = limit * (1.0 + 1e-5);
         bench.clear(around.candidates());
+        // What the loop writes to does not hold what it reads from.
+        let columns = slices(self.columns);
+        let slots = &mut bench.slots[..];
+        let mut places = bench.columns.each_mut();
+        let mut count = 0;
         for range in around.ranges() {
             let end = range.to as usize;
             for first in (range.from as usize..end).step_by(2 * WIDTH) {
                 let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
-                let mask = W::near_box(self.columns, middle, first, limit) & inside;
-                let Workbench { columns, slots, count, .. } = &mut *bench;
-                W::keep_places(mask, self.columns, first, columns, *count);
-                if let Some(slots) = slots[*count..].first_chunk_mut() {
+                let mask = W::near_box(&columns, hull, first, limit) & inside;
+                for (column, places) in columns.iter().zip(&mut places) {
+                    let all = column[first..].first_chunk();
+                    if let (Some(all), Some(kept)) = (all, places[count..].first_chunk_mut()) {
+                        W::keep(mask, all, kept);
+                    }
+                }
+                if let Some(slots) = slots[count..].first_chunk_mut() {
                     W::compress(mask, first as u32, slots);
                 }
-                *count += mask.count_ones() as usize;
+                count += mask.count_ones() as usize;
             }
         }
+        bench.count = count;
     }
 
     /// The list of one slot from the candidates of its cell.
@@ -143,16 +194,21 @@ impl<const D: usize> ListPass<'_, D> {
     fn list<W: Wide>(&self, slot: usize, limits: [f32; 2], bench: &mut Workbench<D>) {
         let here = self.place(slot);
         let Workbench { columns, slots, count, lists } = bench;
-        lists.open(*count);
-        for first in (0..*count).step_by(2 * WIDTH) {
-            let inside = u16::MAX >> (2 * WIDTH - (*count - first).min(2 * WIDTH));
-            let [mut near, maybe] = W::near(columns, here, first, limits);
+        let (columns, slots, count) = (slices(columns), &slots[..], *count);
+        let index = lists.open(count);
+        let mut filled = 0;
+        for first in (0..count).step_by(2 * WIDTH) {
+            let inside = u16::MAX >> (2 * WIDTH - (count - first).min(2 * WIDTH));
+            let [mut near, maybe] = W::near(&columns, here, first, limits);
             let Some(others) = slots[first..].first_chunk() else { break };
             if near != maybe {
                 near |= self.look_closer(slot, others, maybe & inside & !near);
             }
-            lists.append_others::<W>(near & inside, others, slot as u32);
+            if let Some(kept) = index[filled..].first_chunk_mut() {
+                filled += W::keep_others(near & inside, others, slot as u32, kept);
+            }
         }
+        lists.fill(filled);
     }
 
     /// Which of sixteen slots that are in a mask are in reach, in doubles.
@@ -173,8 +229,8 @@ impl<const D: usize> ListPass<'_, D> {
     /// the box.
     #[inline(always)]
     fn is_near_seam(&self, slot: usize) -> bool {
-        let (reach, skin) = self.reach;
-        let margin = (reach + skin) * (PackedSingle::STEPS / self.space.length) + 4.0;
+        let (reach, carried) = self.reach;
+        let margin = (reach + carried) * (PackedSingle::STEPS / self.space.length) + 4.0;
         let mut near = false;
         for x in self.place(slot) {
             let x = f64::from(x as u32);
@@ -205,6 +261,8 @@ pub struct Neighbours<const D: usize> {
     reference: Option<Vec<Vector<f64, D>>>,
     /// Fixed-point coordinates in cell order at the last rebuild, with two [`WIDTH`] more.
     columns: [Vec<i32>; D],
+    /// How far particles have moved since.
+    movement: Movement,
     benches: Pool<Workbench<D>>,
 }
 
@@ -221,6 +279,7 @@ impl<const D: usize> Neighbours<D> {
             valid: false,
             reference: None,
             columns: std::array::from_fn(|_| Vec::new()),
+            movement: Movement::default(),
             benches: Pool::default(),
         }
     }
@@ -252,7 +311,7 @@ impl<const D: usize> Neighbours<D> {
         let reference = self.reference.as_ref().map_or(0, |reference| 8 * D * reference.capacity());
         let places: usize = self.columns.iter().map(|column| 4 * column.capacity()).sum();
         let lists: usize = self.chunks.iter().map(Chunk::bytes).sum();
-        lists + reference + places + self.cells.bytes()
+        lists + reference + places + self.cells.bytes() + self.movement.bytes()
     }
 
     /// Forgets the lists, so that the next step builds them anew.
@@ -266,28 +325,36 @@ impl<const D: usize> Neighbours<D> {
         self.reference.as_deref().unwrap_or_default()
     }
 
-    /// Builds the lists as they were built from `reference`.
+    /// Builds the lists as they were built from `reference`; whoever uses them brings the positions in the
+    /// cloud up to date.
     pub fn restore(&mut self, reference: &[Vector<f64, D>], cloud: &mut Cloud<D>) {
         self.build(reference.len(), |row| reference[row], cloud);
     }
 
-    /// Builds the lists if some particle has moved half a skin since they were built, and puts the
-    /// positions, row by row, into the cloud.
+    /// Builds the lists if two neighbours may have moved a skin apart since they were built, and puts
+    /// the positions, row by row, into the cloud.
     fn update(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) {
-        let known = self.valid && cloud.len() == positions.len();
-        if known && !self.place(positions, cloud) {
+        if self.valid && cloud.len() == positions.len() && self.still_hold(positions, cloud) {
             return;
         }
         self.build(positions.len(), |row| positions[row].0, cloud);
-        self.place(positions, cloud);
     }
 
-    /// Puts positions into the cloud, and says whether one of them is half a skin or more from where it
-    /// was when the lists were built.
-    fn place(&self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> bool {
+    /// Puts positions into the cloud, and says whether the lists hold whoever may touch whom there.
+    fn still_hold(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> bool {
+        let farthest = self.place(positions, cloud);
+        // As long as nobody has moved half a skin, no two of them have moved a skin apart.
         let steps = PackedSingle::STEPS / self.space.length;
         // Rounded coordinates are known to half a step each.
-        let limit = (0.5 * self.skin * steps - 4.0).max(0.0).powi(2);
+        farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2) || {
+            let (lines, limits) = (&cloud.packed[..positions.len()], (self.skin, self.carried()));
+            !self.movement.tears(&self.cells, &self.columns, lines, self.space, limits)
+        }
+    }
+
+    /// Puts positions into the cloud, and returns the square of the farthest that somebody is, in
+    /// fixed-point steps, from where he was when the lists were built.
+    fn place(&self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> f64 {
         let rows = &self.cells.row_of_slot;
         let lines = cloud.packed[..rows.len()].par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK));
         let far = lines.enumerate().map(|(number, (lines, rows))| {
@@ -303,12 +370,17 @@ impl<const D: usize> Neighbours<D> {
                 }
                 farthest = farthest.max(square);
             }
-            farthest >= limit
+            farthest
         });
-        far.reduce(|| false, |a, b| a || b)
+        far.reduce(|| 0.0, f64::max)
     }
 
-    /// Builds the lists from positions by row.
+    /// How far particles may be carried with their neighbours before the lists are built anew.
+    fn carried(&self) -> f64 {
+        CARRIED * self.support
+    }
+
+    /// Puts positions, given by row, into the cloud, and builds the lists from them.
     fn build(
         &mut self,
         count: usize,
@@ -322,21 +394,23 @@ impl<const D: usize> Neighbours<D> {
             reference.extend((0..count).map(&position));
         }
         cloud.resize(count);
-        let reach = (self.support + self.skin, self.skin);
+        let reach = (self.support + self.skin, self.carried());
         self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
         let (cells, space) = (&self.cells, self.space);
+        let lines = &mut cloud.packed[..count];
+        let rows = lines.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
+        rows.for_each(|(line, &row)| line.position = position(row as usize).to_3d());
+        let lines = &*lines;
         for (axis, column) in self.columns.iter_mut().enumerate() {
             column.resize(count + 2 * WIDTH, 0);
-            let rows = column.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
-            rows.for_each(|(x, &row)| {
-                *x = PackedSingle::fixed_point(position(row as usize)[axis], space);
-            });
+            let lines = column.par_iter_mut().zip(lines).with_min_len(FEWEST);
+            lines.for_each(|(x, line)| *x = PackedSingle::fixed_point(line.position[axis], space));
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches) = (&self.columns, &self.benches);
-        let position = &|slot: usize| position(cells.row_of_slot[slot] as usize);
+        let position = &|slot: usize| Vector::from_3d(lines[slot].position);
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             let first = number * CHUNK;
             let pass = ListPass { first, columns, position, cells, space, reach };

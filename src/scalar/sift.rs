@@ -31,8 +31,8 @@ fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
 
 /// [`Wide::near`] place by place.
 #[inline(always)]
-pub(super) fn near_by_loop<const D: usize>(
-    columns: &[Vec<i32>; D],
+pub(super) fn near_by_loop<C: AsRef<[i32]>, const D: usize>(
+    columns: &[C; D],
     here: [i32; D],
     first: usize,
     limits: [f32; 2],
@@ -41,7 +41,7 @@ pub(super) fn near_by_loop<const D: usize>(
     for place in 0..2 * WIDTH {
         let mut square = 0.0;
         for (column, here) in columns.iter().zip(here) {
-            let apart = here.wrapping_sub(column[first + place]) as f32;
+            let apart = here.wrapping_sub(column.as_ref()[first + place]) as f32;
             square += apart * apart;
         }
         for (mask, limit) in masks.iter_mut().zip(limits) {
@@ -53,17 +53,17 @@ pub(super) fn near_by_loop<const D: usize>(
 
 /// [`Wide::near_box`] place by place.
 #[inline(always)]
-pub(super) fn near_box_by_loop<const D: usize>(
-    columns: &[Vec<i32>; D],
-    (middle, half): ([i32; D], f32),
+pub(super) fn near_box_by_loop<C: AsRef<[i32]>, const D: usize>(
+    columns: &[C; D],
+    (middle, half): ([i32; D], [f32; D]),
     first: usize,
     limit: f32,
 ) -> u16 {
     let mut mask = 0;
     for place in 0..2 * WIDTH {
         let mut square = 0.0;
-        for (column, middle) in columns.iter().zip(middle) {
-            let apart = column[first + place].wrapping_sub(middle) as f32;
+        for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
+            let apart = column.as_ref()[first + place].wrapping_sub(middle) as f32;
             let outside = (apart.abs() - half).max(0.0);
             square += outside * outside;
         }
@@ -72,21 +72,14 @@ pub(super) fn near_box_by_loop<const D: usize>(
     mask
 }
 
-/// [`Wide::keep_places`] place by place.
+/// [`Wide::keep`] place by place.
 #[inline(always)]
-pub(super) fn keep_places_by_loop<const D: usize>(
-    mask: u16,
-    columns: &[Vec<i32>; D],
-    first: usize,
-    kept: &mut [Vec<i32>; D],
-    to: usize,
-) {
-    for (column, kept) in columns.iter().zip(kept) {
-        let mut next = to;
-        for place in 0..2 * WIDTH {
-            kept[next] = column[first + place];
-            next += usize::from(mask >> place & 1);
-        }
+pub(super) fn keep_by_loop(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+    let mut next = 0;
+    for (place, &number) in all.iter().enumerate() {
+        // Never behind the end: as many were kept as came before.
+        kept[next] = number;
+        next += usize::from(mask >> place & 1);
     }
 }
 
@@ -140,12 +133,15 @@ mod tests {
             for first in 0..2 * WIDTH {
                 let here = [columns[0][first], columns[1][first], columns[2][first]];
                 let [near, maybe] = W::near(columns, here, first, [1e18, 2e18]);
-                let mask = W::near_box(columns, (here, 3e8), first, 1.5e18);
+                let mask = W::near_box(columns, (here, [3e8, 2e8, 4e8]), first, 1.5e18);
                 masks.extend([near, maybe, mask]);
-                let mut kept = [vec![0; 64], vec![0; 64], vec![0; 64]];
-                W::keep_places(mask, columns, first, &mut kept, 5);
-                let count = mask.count_ones() as usize;
-                kept.iter().for_each(|column| places.extend(&column[5..5 + count]));
+                for column in columns {
+                    let mut kept = [0; 2 * WIDTH];
+                    if let Some(all) = column[first..].first_chunk() {
+                        W::keep(mask, all, &mut kept);
+                    }
+                    places.extend(&kept[..mask.count_ones() as usize]);
+                }
                 let (mut others, mut all) = ([0; 2 * WIDTH], [0; 2 * WIDTH]);
                 let found = W::keep_others(near, slots, slots[first], &mut others);
                 W::compress(maybe, first as u32, &mut all);

@@ -1,7 +1,7 @@
 //! One source for every instruction set and both precisions.
 
 use super::sift::{
-    compress_in_two, keep_others_by_loop, keep_places_by_loop, near_box_by_loop, near_by_loop,
+    compress_in_two, keep_by_loop, keep_others_by_loop, near_box_by_loop, near_by_loop,
 };
 use super::{Lanes, Scalar, WIDTH};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
@@ -86,8 +86,8 @@ pub trait Wide: Scalar {
     /// Which of the sixteen places from number `first` on are nearer to `here` than two limits on the
     /// square of the distance, in fixed-point steps: one bit each, the first lowest.
     #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
+    fn near<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
         here: [i32; D],
         first: usize,
         limits: [f32; 2],
@@ -95,27 +95,21 @@ pub trait Wide: Scalar {
         near_by_loop(columns, here, first, limits)
     }
     /// Which of the sixteen places from number `first` on are nearer than a limit to a box: its middle and
-    /// half its width, in fixed-point steps; `limit` is on the square of the distance.
+    /// half its width along each axis, in fixed-point steps; `limit` is on the square of the distance.
     #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        around: ([i32; D], f32),
+    fn near_box<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
+        around: ([i32; D], [f32; D]),
         first: usize,
         limit: f32,
     ) -> u16 {
         near_box_by_loop(columns, around, first, limit)
     }
-    /// Copies those of the sixteen places from number `first` on that are in a mask, in order, to number
-    /// `to` and the following; what comes behind them, up to sixteen, is anything.
+    /// Writes those of sixteen numbers that are in a mask, in order, to the front of `kept`; what comes
+    /// behind them is anything.
     #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
-        keep_places_by_loop(mask, columns, first, kept, to);
+    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+        keep_by_loop(mask, all, kept);
     }
     /// Writes those of sixteen slots that are in a mask, without the slot `own`, in order, to the front of
     /// `kept`, and says how many; what comes behind them is anything.

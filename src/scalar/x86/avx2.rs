@@ -130,8 +130,8 @@ impl Wide for Lanes256 {
         }
     }
     #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
+    fn near<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
         here: [i32; D],
         first: usize,
         limits: [f32; 2],
@@ -142,7 +142,8 @@ impl Wide for Lanes256 {
                 let mut square = _mm256_setzero_ps();
                 for (column, here) in columns.iter().zip(here) {
                     let from = first + half * WIDTH;
-                    let there = _mm256_loadu_si256(column[from..from + WIDTH].as_ptr().cast());
+                    let there =
+                        _mm256_loadu_si256(column.as_ref()[from..from + WIDTH].as_ptr().cast());
                     let apart = _mm256_sub_epi32(_mm256_set1_epi32(here), there);
                     let apart = _mm256_cvtepi32_ps(apart);
                     square = _mm256_add_ps(square, _mm256_mul_ps(apart, apart));
@@ -156,9 +157,9 @@ impl Wide for Lanes256 {
         masks
     }
     #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        (middle, half): ([i32; D], f32),
+    fn near_box<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
+        (middle, half): ([i32; D], [f32; D]),
         first: usize,
         limit: f32,
     ) -> u16 {
@@ -166,9 +167,10 @@ impl Wide for Lanes256 {
         for eight in 0..2 {
             unsafe {
                 let (mut square, zero) = (_mm256_setzero_ps(), _mm256_setzero_ps());
-                for (column, middle) in columns.iter().zip(middle) {
+                for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
                     let from = first + eight * WIDTH;
-                    let there = _mm256_loadu_si256(column[from..from + WIDTH].as_ptr().cast());
+                    let there =
+                        _mm256_loadu_si256(column.as_ref()[from..from + WIDTH].as_ptr().cast());
                     let apart = _mm256_sub_epi32(there, _mm256_set1_epi32(middle));
                     let apart = _mm256_andnot_ps(_mm256_set1_ps(-0.0), _mm256_cvtepi32_ps(apart));
                     let outside = _mm256_max_ps(_mm256_sub_ps(apart, _mm256_set1_ps(half)), zero);
@@ -181,24 +183,15 @@ impl Wide for Lanes256 {
         mask
     }
     #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
+    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
         let [low, high] = mask.to_le_bytes();
-        let middle = to + low.count_ones() as usize;
-        for (column, kept) in columns.iter().zip(kept) {
-            let from = &column[first..first + 2 * WIDTH];
-            // The second eight go over what the first left behind those it kept.
-            for (mask, from, to) in [(low, &from[..WIDTH], to), (high, &from[WIDTH..], middle)] {
-                let to = &mut kept[to..to + WIDTH];
-                unsafe {
-                    let front = front_of(mask, _mm256_loadu_si256(from.as_ptr().cast()));
-                    _mm256_storeu_si256(to.as_mut_ptr().cast(), front);
-                }
+        let middle = low.count_ones() as usize;
+        // The second eight go over what the first left behind those it kept.
+        for (mask, from, to) in [(low, 0, 0), (high, WIDTH, middle)] {
+            let (from, to) = (&all[from..from + WIDTH], &mut kept[to..to + WIDTH]);
+            unsafe {
+                let front = front_of(mask, _mm256_loadu_si256(from.as_ptr().cast()));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), front);
             }
         }
     }

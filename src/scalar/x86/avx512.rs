@@ -122,8 +122,8 @@ impl Wide for Lanes512 {
         }])
     }
     #[inline(always)]
-    fn near<const D: usize>(
-        columns: &[Vec<i32>; D],
+    fn near<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
         here: [i32; D],
         first: usize,
         limits: [f32; 2],
@@ -131,7 +131,8 @@ impl Wide for Lanes512 {
         unsafe {
             let mut square = _mm512_setzero_ps();
             for (column, here) in columns.iter().zip(here) {
-                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
+                let there =
+                    _mm512_loadu_si512(column.as_ref()[first..first + 2 * WIDTH].as_ptr().cast());
                 let apart = _mm512_sub_epi32(_mm512_set1_epi32(here), there);
                 let apart = _mm512_cvtepi32_ps(apart);
                 square = _mm512_add_ps(square, _mm512_mul_ps(apart, apart));
@@ -144,16 +145,17 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
-    fn near_box<const D: usize>(
-        columns: &[Vec<i32>; D],
-        (middle, half): ([i32; D], f32),
+    fn near_box<C: AsRef<[i32]>, const D: usize>(
+        columns: &[C; D],
+        (middle, half): ([i32; D], [f32; D]),
         first: usize,
         limit: f32,
     ) -> u16 {
         unsafe {
             let (mut square, zero) = (_mm512_setzero_ps(), _mm512_setzero_ps());
-            for (column, middle) in columns.iter().zip(middle) {
-                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
+            for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
+                let there =
+                    _mm512_loadu_si512(column.as_ref()[first..first + 2 * WIDTH].as_ptr().cast());
                 let apart = _mm512_sub_epi32(there, _mm512_set1_epi32(middle));
                 let apart = _mm512_abs_ps(_mm512_cvtepi32_ps(apart));
                 let outside = _mm512_max_ps(_mm512_sub_ps(apart, _mm512_set1_ps(half)), zero);
@@ -163,20 +165,10 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
-    fn keep_places<const D: usize>(
-        mask: u16,
-        columns: &[Vec<i32>; D],
-        first: usize,
-        kept: &mut [Vec<i32>; D],
-        to: usize,
-    ) {
-        for (column, kept) in columns.iter().zip(kept) {
-            let kept = &mut kept[to..to + 2 * WIDTH];
-            unsafe {
-                let there = _mm512_loadu_si512(column[first..first + 2 * WIDTH].as_ptr().cast());
-                let front = _mm512_maskz_compress_epi32(mask, there);
-                _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
-            }
+    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+        unsafe {
+            let front = _mm512_maskz_compress_epi32(mask, _mm512_loadu_si512(all.as_ptr().cast()));
+            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
         }
     }
     #[inline(always)]
