@@ -72,11 +72,7 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
 #[inline(always)]
 pub(super) fn tait_stress<const D: usize>(medium: &Medium<D>, rho: Lanes) -> Lanes {
     let [c, _, _, gamma, _] = medium.parameters.0;
-    let mut stress = rho.to_array();
-    for rho in &mut stress {
-        *rho = state::stress(state::tait(*rho, c, gamma), *rho);
-    }
-    Lanes::new(stress)
+    state::tait_stress(rho, c, gamma)
 }
 
 /// Three inputs, one output: by hand, with `ρ^γ = exp(γ ln ρ)` of eight particles at once.
