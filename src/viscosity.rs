@@ -44,6 +44,10 @@ pub struct ViscosityGradient<T> {
     pub by_density: T,
     /// `∂Π/∂(c, α, β)`.
     pub by: Viscosity<T>,
+    /// `μ/ρ̄`, of which these are multiples.
+    pub linear: T,
+    /// `μ`.
+    pub mu: T,
 }
 
 /// `Π` of Eq. (21) and its derivatives by everything it depends on.
@@ -58,15 +62,18 @@ pub fn monaghan_gradient<T: Scalar>(
     let both = T::of(1.0) / (s * rho);
     let (softened, inverse_density) = (both * rho * h, both * s);
     let mu = pair.approach.min(zero) * softened;
-    let value = (by.beta * mu - by.alpha * by.c) * mu * inverse_density;
-    let by_mu = (by.beta * mu * 2.0 - by.alpha * by.c) * inverse_density;
     let linear = mu * inverse_density;
+    let value = (by.beta * mu - by.alpha * by.c) * linear;
+    let by_mu = (by.beta * mu * 2.0 - by.alpha * by.c) * inverse_density;
+    let by_approach = T::select_less(pair.approach, zero, by_mu * softened, zero);
     ViscosityGradient {
         value,
-        by_r2: by_mu * mu * softened * (-1.0 / h),
-        by_approach: T::select_less(pair.approach, zero, by_mu * softened, zero),
+        by_r2: by_approach * mu * (-1.0 / h),
+        by_approach,
         by_density: value * inverse_density * -0.5,
         by: Viscosity { c: -(by.alpha * linear), alpha: -(by.c * linear), beta: mu * linear },
+        linear,
+        mu,
     }
 }
 

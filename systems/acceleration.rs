@@ -123,33 +123,31 @@ pub fn accelerate_pullback<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let adjoint = &mut *adjoint;
-    let AdjointCloud { packed: lines, position, velocity, scalars, parameters, shares, .. } =
-        adjoint;
     let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
     let one_way = model.passes_to_neighbours();
-    shares.resize_with(neighbours.chunks.len(), Vec::new);
-    let forces: &[PackedAdjoint] = lines;
-    let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
-    let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(&mut *shares);
-    let pass = |(chunk, (((position, velocity), scalars), neighbours)): (&Chunk, ((_, _), _))| {
-        let neighbours: &mut Vec<PairShare<D>> = neighbours;
-        let places = if one_way { WIDTH * chunk.batches() } else { 0 };
-        neighbours.resize(places, PairShare::ZERO);
-        let into = Passed { position, velocity, scalars, neighbours };
-        rooms.enter(model.network(), |room| {
-            room.clear();
-            model.pull_back(Hood { lines: cloud.lines(), chunk, space }, forces, room, into);
-            room.sums()
-        })
-    };
-    let sums: Vec<Vec<f64>> = neighbours.chunks.par_iter().zip(places).map(pass).collect();
-    for sum in sums {
-        parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
-    }
+    let count = adjoint.parameters.len();
+    adjoint.sum_parameters(count, |adjoint, sums| {
+        let AdjointCloud { packed: lines, position, velocity, scalars, shares, .. } = adjoint;
+        shares.resize_with(neighbours.chunks.len(), Vec::new);
+        let forces: &[PackedAdjoint] = lines;
+        let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
+        let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(shares);
+        let places = places.zip(sums.par_chunks_mut(count));
+        neighbours.chunks.par_iter().zip(places).for_each(|(chunk, (place, sums))| {
+            let (((position, velocity), scalars), neighbours) = place;
+            let places = if one_way { WIDTH * chunk.batches() } else { 0 };
+            neighbours.resize(places, PairShare::ZERO);
+            let into = Passed { position, velocity, scalars, neighbours };
+            rooms.enter(model.network(), |room| {
+                room.clear();
+                model.pull_back(Hood { lines: cloud.lines(), chunk, space }, forces, room, into);
+                room.write_sums(sums);
+            });
+        });
+    });
     if one_way {
         adjoint.senders.find(&neighbours.chunks, cloud.len());
-        fetch_shares(adjoint);
+        fetch_shares(&mut adjoint);
     }
 }
 

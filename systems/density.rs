@@ -296,58 +296,60 @@ pub fn sum_density_pullback<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let AdjointCloud { packed: lines, position, scalars, parameters, .. } = &mut *adjoint;
     let model = &*law.0;
-    let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
-    let pass = |(lines, rows): (&mut [PackedAdjoint], Rows<'_>)| {
-        rooms.enter(model.network(), |room| {
-            room.clear();
-            pull_stress_back(model, room, rows, lines)
-        })
-    };
-    let count = cloud.len();
-    let sums: Vec<_> = lines[..count].par_chunks_mut(CHUNK).zip(chunks).map(pass).collect();
-    for sum in sums {
-        parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
-    }
+    let weights = model.network().filter(|_| model.has_stress_network());
+    let count = Parameter::COUNT + weights.map_or(0, |network| network.weights.len());
+    adjoint.sum_parameters(count, |adjoint, sums| {
+        let AdjointCloud { packed: lines, scalars, .. } = adjoint;
+        let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
+        let chunks = chunks.zip(sums.par_chunks_mut(count));
+        lines[..cloud.len()].par_chunks_mut(CHUNK).zip(chunks).for_each(|(lines, (rows, sums))| {
+            rooms.enter(model.network(), |room| {
+                room.clear();
+                pull_stress_back(model, room, rows, lines);
+                room.write_sums(sums);
+            });
+        });
+    });
+    let AdjointCloud { packed: lines, position, .. } = &mut *adjoint;
     pull_density_back(&neighbours, model.medium(), (cloud.lines(), lines), position);
 }
 
-/// `(∂L/∂A, ∂L/∂ρ)` through the forces, and the particles.
+/// System: in place of [`sum_density_pullback`] where the forces took the densities of an earlier
+/// evaluation of the same positions, to which `∂L/∂A` and `∂L/∂ρ` are left.
+pub fn carry_density_pullback<const D: usize>(
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let AdjointCloud { scalars, carried, .. } = &mut *adjoint;
+    carried.clear();
+    carried.extend(cloud.slot_of_row.iter().map(|&slot| scalars[slot as usize]));
+}
+
+/// `(∂L/∂A, ∂L/∂ρ)` of some particles, and the particles.
 type Rows<'a> = (&'a [(f64, f64)], &'a [Packed]);
 
-/// `∂L/∂ρᵢ` of some particles, through their stress and besides, added to `lines`; returns the sums over
-/// the parameters.
+/// `∂L/∂ρᵢ` of some particles, through their stress and besides; the room gets the sums over parameters.
 fn pull_stress_back<const D: usize>(
     model: &dyn Model<D>,
     room: &mut Room,
     (scalars, particles): Rows<'_>,
     lines: &mut [PackedAdjoint],
-) -> Vec<f64> {
-    let network = model.network().filter(|_| model.has_stress_network());
-    let weights = network.map_or(0, |network| network.weights.len());
-    let mut sums = vec![0.0; Parameter::COUNT + weights];
+) {
     let rows = lines.chunks_mut(WIDTH).zip(scalars.chunks(WIDTH)).zip(particles.chunks(WIDTH));
     for ((lines, scalars), particles) in rows {
-        let rho = densities(particles);
-        let slope = model.stress_slope(rho, room);
-        let mut by_stress = Lanes::ZERO;
-        for (lane, (line, scalar)) in lines.iter_mut().zip(scalars).enumerate() {
-            by_stress.set_lane(lane, scalar.0);
-            line.density += scalar.1 + scalar.0 * slope.by_density.lane(lane);
-        }
-        let (physical, learned) = sums.split_at_mut(Parameter::COUNT);
-        for (sum, by) in physical.iter_mut().zip(slope.by_parameter) {
-            *sum += (by * by_stress).sum();
-        }
-        if weights > 0 {
-            model.stress_weights(rho, room);
-            for (sum, by) in learned.iter_mut().zip(&room.weights) {
-                *sum += (*by * by_stress).sum();
+        let mut by_density = Lanes::ZERO;
+        if model.has_stress() {
+            let mut stress = Lanes::ZERO;
+            for (lane, scalar) in scalars.iter().enumerate() {
+                stress.set_lane(lane, scalar.0);
             }
+            by_density = model.stress_pullback(densities(particles), stress, room);
+        }
+        for (lane, (line, scalar)) in lines.iter_mut().zip(scalars).enumerate() {
+            line.density = scalar.1 + by_density.lane(lane);
         }
     }
-    sums
 }
 
 /// Adds to `∂L/∂r` what `∂L/∂ρ` makes of it, in cell order.

@@ -173,6 +173,8 @@ pub fn prepare<const D: usize>(needs: Needs) -> Schedule {
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Refresh {
     Pack,
+    /// None on the way forward.
+    Density,
     Force,
     Forcing,
     Return,
@@ -272,6 +274,7 @@ pub fn retreat<const D: usize>(needs: Needs) -> Schedule {
     }
     let kick = (verlet::tick_pullback, verlet::kick_pullback::<D>).chain();
     add.add_systems(kick.in_set(Phase::SecondKick));
+    add.add_systems(density::sum_density_pullback::<D>.in_set(Phase::Density));
     if needs.step.predicts() {
         add_forces_pullback::<true, D>(add, needs, Phase::REVERSED_FORCES);
     } else {
@@ -284,6 +287,7 @@ pub fn retreat<const D: usize>(needs: Needs) -> Schedule {
     if needs.step.refreshes() {
         let sets = [Refresh::Return, Refresh::Forcing, Refresh::Force, Refresh::Pack];
         add_forces_pullback::<false, D>(add, needs, sets);
+        add.add_systems(density::carry_density_pullback::<D>.in_set(Refresh::Density));
     }
     schedule
 }
@@ -291,6 +295,7 @@ pub fn retreat<const D: usize>(needs: Needs) -> Schedule {
 /// The adjoint of [`start`]: the force at step zero depends on the parameters, too.
 pub fn back_to_start<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_reverse(Program::Return);
+    schedule.add_systems(density::sum_density_pullback::<D>.in_set(Phase::Density));
     add_forces_pullback::<false, D>(&mut schedule, needs, Phase::REVERSED_FORCES);
     if needs.loss {
         schedule.add_systems(tape::add_loss::<D>.in_set(Phase::Loss));
@@ -309,7 +314,8 @@ fn in_reverse(program: Program) -> Schedule {
         schedule.configure_sets(pair[0].after(pair[1]));
     }
     use Refresh::*;
-    schedule.configure_sets((Return, Forcing, Force, Pack).chain().in_set(Phase::Refresh));
+    let refresh = (Return, Forcing, Force, Density, Pack).chain();
+    schedule.configure_sets(refresh.in_set(Phase::Refresh));
     schedule
 }
 
@@ -321,9 +327,7 @@ fn add_forces_pullback<const PREDICTED: bool, const D: usize>(
 ) {
     schedule.add_systems((
         tape::rewind_evaluation::<D>.in_set(back),
-        (acceleration::accelerate_pullback::<D>, density::sum_density_pullback::<D>)
-            .chain()
-            .in_set(pairs),
+        acceleration::accelerate_pullback::<D>.in_set(pairs),
         tape::unpack_adjoint::<PREDICTED, D>.in_set(visible),
     ));
     match needs.stirring {

@@ -104,9 +104,10 @@ pub struct AdjointCloud<const D: usize> {
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` through this evaluation, per slot.
     pub velocity: Vec<Vector<f64, D>>,
-    /// `∂L/∂ρ` of the loss that was just added, by row, until the evaluation with these densities takes it.
-    pub observed: Vec<f64>,
-    /// `(∂L/∂A, ∂L/∂ρ)` through the forces, per slot.
+    /// `(∂L/∂A, ∂L/∂ρ)` of what saw the densities of an earlier evaluation, by row, until that takes it:
+    /// the loss at the end of a step, and the forces that began the next.
+    pub carried: Vec<(f64, f64)>,
+    /// `(∂L/∂A, ∂L/∂ρ)` per slot: what was carried here, and what comes through the forces.
     pub scalars: Vec<(f64, f64)>,
     /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
     pub shares: Vec<Vec<PairShare<D>>>,
@@ -114,6 +115,26 @@ pub struct AdjointCloud<const D: usize> {
     pub senders: Senders,
     /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, summed over the evaluations so far.
     pub parameters: Vec<f64>,
+    /// The same of one evaluation, chunk by chunk.
+    pub sums: Vec<f64>,
+}
+
+impl<const D: usize> AdjointCloud<D> {
+    /// Adds to the first `count` parameters the sums that `write` finds for each chunk of particles,
+    /// `count` numbers a chunk.
+    pub(super) fn sum_parameters(
+        &mut self,
+        count: usize,
+        write: impl FnOnce(&mut Self, &mut [f64]),
+    ) {
+        let mut sums = std::mem::take(&mut self.sums);
+        sums.resize(count * self.position.len().div_ceil(CHUNK), 0.0);
+        write(self, &mut sums);
+        for sum in sums.chunks_exact(count) {
+            self.parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
+        }
+        self.sums = sums;
+    }
 }
 
 /// All particles in cell order, as contiguous arrays: what the pair loops run over.

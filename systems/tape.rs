@@ -179,7 +179,6 @@ pub fn rewind_evaluation<const D: usize>(
         column.clear();
         column.resize(count, Vector::zero());
     }
-    adjoint.scalars.resize(count, (0.0, 0.0));
     let mut slots = cloud.slot_of_row.iter();
     for column in rows.contiguous_iter_mut().into_iter().flatten() {
         for (a, &slot) in column.into_iter().zip(&mut slots) {
@@ -187,12 +186,13 @@ pub fn rewind_evaluation<const D: usize>(
             a.0 = Vector::zero();
         }
     }
-    // The loss of the step saw the densities of its last evaluation: the first that is come back to.
-    let AdjointCloud { packed, observed, .. } = &mut *adjoint;
-    for (&density, &slot) in observed.iter().zip(&cloud.slot_of_row) {
-        packed[slot as usize].density = density;
+    let AdjointCloud { scalars, carried, .. } = &mut *adjoint;
+    scalars.clear();
+    scalars.resize(count, (0.0, 0.0));
+    for (&share, &slot) in carried.iter().zip(&cloud.slot_of_row) {
+        scalars[slot as usize] = share;
     }
-    observed.clear();
+    carried.clear();
 }
 
 /// System: the pullback of packing: what an evaluation passed back goes to the particles. Where the
@@ -234,6 +234,8 @@ pub fn add_loss<const D: usize>(
             v.0 += by_v;
         }
     }
-    adjoint.observed.clone_from(&frame.density);
+    // The loss of a step saw the densities of its last evaluation.
+    adjoint.carried.resize(frame.density.len(), (0.0, 0.0));
+    adjoint.carried.iter_mut().zip(&frame.density).for_each(|(share, by)| share.1 += by);
     tape.spare.1.push(frame);
 }

@@ -11,6 +11,7 @@ use std::f64::consts::PI;
 use whirls::flow::{Differentiation, Held};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
+use whirls::pairs::CHUNK;
 use whirls::recording::{Frame, Recorder};
 use whirls::run::{Lesson, Requirements};
 use whirls::scene::{Forcing, Optimiser, SHIPPED, Shipped};
@@ -113,21 +114,21 @@ fn step_of(scene: &Scene, way: Way) -> Vec<&'static str> {
 
 /// Systems of the way back through one step: the pullback of every system, in reverse.
 fn way_back_of(scene: &Scene) -> Vec<&'static str> {
-    let evaluation = || {
+    let evaluation = |density: &'static str| {
         let forcing = match scene.forcing {
             Forcing::None => None,
             Forcing::Deterministic { .. } => Some("forcing::force_deterministically_pullback"),
             Forcing::Stochastic { .. } => Some("forcing::force_stochastically_pullback"),
         };
-        let pairs = ["acceleration::accelerate_pullback", "density::sum_density_pullback"];
+        let pairs = ["acceleration::accelerate_pullback", density];
         let first = ["tape::rewind_evaluation"].into_iter().chain(forcing);
         first.chain(pairs).chain(["tape::unpack_adjoint"]).collect::<Vec<_>>()
     };
     let mut all = vec!["tape::add_loss", "verlet::tick_pullback", "verlet::kick_pullback"];
-    all.extend(evaluation());
+    all.extend(evaluation("density::sum_density_pullback"));
     all.extend(["verlet::drift_pullback", "verlet::kick_pullback"]);
     if scene.time.step.refreshes() {
-        all.extend(evaluation());
+        all.extend(evaluation("density::carry_density_pullback"));
     }
     all
 }
@@ -205,13 +206,16 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     let mut all = moving.map(|name| column(name, vector + TICKS)).to_vec();
     let arrays = [
         ("reference", vector),
-        ("observed", 8.0),
+        ("carried", 16.0),
         ("packed", 32.0),
         ("position", vector),
         ("velocity", vector),
         ("scalars", 16.0),
     ];
     all.extend(arrays.map(|(name, bytes)| column(name, bytes)));
+    // All parameters of the model, a chunk of particles.
+    let sums = [5.0, 2000.0].map(|parameters| 8.0 * parameters / CHUNK as f64);
+    all.push(("adjoint", "sums".to_owned(), sums));
     if shares {
         let each = 64.0 * (2.0 * scene.dimension as f64 + 2.0);
         let ([least, _], most) = lists(scene);

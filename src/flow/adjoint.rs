@@ -90,7 +90,7 @@ impl<const D: usize> Flow<D> {
         }
         if let Some(mut adjoint) = world.get_resource_mut::<AdjointCloud<D>>() {
             adjoint.parameters.fill(0.0);
-            adjoint.observed.clear();
+            adjoint.carried.clear();
         }
     }
 

@@ -224,7 +224,8 @@ impl<const D: usize> Flow<D> {
             ("position", room(&cloud.position)),
             ("velocity", room(&cloud.velocity)),
             ("scalars", room(&cloud.scalars)),
-            ("observed", room(&cloud.observed)),
+            ("carried", room(&cloud.carried)),
+            ("sums", room(&cloud.sums)),
             ("shares", cloud.shares.iter().map(room).sum()),
             ("senders", cloud.senders.bytes()),
         ]

@@ -1,8 +1,8 @@
 //! The field loss `L_f`: the smoothed velocity field on a mesh, against the truth's.
 
 use super::StateAdjoint;
+use super::lattice::{Lattice, Meet, load_at, store_at};
 use super::mesh::Mesh;
-use super::rows::{Lattice, Rows, load_at, store_at};
 use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
@@ -69,64 +69,57 @@ impl Bins {
     }
 }
 
-/// Consecutive planes of nodes, to which particles give their velocities.
-struct Planes<'a, K, const D: usize> {
+/// The particles whose first planes of nodes follow each other: what a task gives to the nodes.
+struct Givers<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
     lattice: Lattice<D>,
     bins: &'a Bins,
+    /// Their first planes.
     planes: Range<usize>,
 }
 
-impl<K: Kernel, const D: usize> Planes<'_, K, D> {
-    /// The field at their nodes.
-    fn find(&self, values: &mut [Vector<f64, D>]) {
+impl<K: Kernel, const D: usize> Givers<'_, K, D> {
+    /// What they give to the planes that they touch, from their first on and beyond the seam of the box.
+    fn find(&self) -> [Vec<f64>; D] {
         let Self { lattice, planes, .. } = self;
-        let n = lattice.per_axis;
-        let numbers = planes.len() * lattice.rows_per_plane() * lattice.width;
+        let numbers = lattice.planes(planes.len()) * lattice.numbers_per_plane();
         let mut columns = [(); D].map(|()| vec![0.0; numbers]);
-        let mut rows = Rows::new(*lattice);
-        // From the first plane on of which particles reach these.
-        let from = planes.start + n - (lattice.most - 1);
-        for number in 0..(planes.len() + lattice.most - 1).min(n) {
-            let mut slots = self.bins.of((from + number) % n);
-            while !slots.is_empty() {
-                let added = rows.add(self.points.packed, slots, planes);
-                slots = &slots[added..];
-                if rows.is_full() {
-                    self.give(&mut rows, &mut columns);
-                }
+        for plane in planes.clone() {
+            dispatch(GivePass {
+                points: self.points,
+                lattice,
+                slots: self.bins.of(plane),
+                plane: planes.start,
+                columns: &mut columns,
+            });
+        }
+        columns
+    }
+}
+
+/// Adds the rows of a plane to its nodes.
+fn fold<const D: usize>(rows: [&[f64]; D], lattice: &Lattice<D>, nodes: &mut [Vector<f64, D>]) {
+    let Lattice { per_axis, width, .. } = *lattice;
+    for (number, nodes) in nodes.chunks_exact_mut(per_axis).enumerate() {
+        for axis in 0..D {
+            let mut row = &rows[axis][number * width..][..width];
+            while !row.is_empty() {
+                let (now, beyond) = row.split_at(per_axis.min(row.len()));
+                nodes.iter_mut().zip(now).for_each(|(node, x)| node[axis] += x);
+                row = beyond;
             }
         }
-        self.give(&mut rows, &mut columns);
-        for (axis, column) in columns.iter().enumerate() {
-            fold(column, lattice, |node, x| values[node][axis] += x);
-        }
-    }
-
-    /// What the particles of all rows give, and no row is left.
-    fn give(&self, rows: &mut Rows<D>, columns: &mut [Vec<f64>; D]) {
-        rows.find_weights(self.points.smoothing);
-        dispatch(GivePass { points: self.points, rows, columns });
-        rows.clear();
     }
 }
 
-/// Brings the numbers of whole rows to their nodes.
-#[inline(always)]
-fn fold<const D: usize>(column: &[f64], lattice: &Lattice<D>, mut add: impl FnMut(usize, f64)) {
-    for (row, numbers) in column.chunks_exact(lattice.width).enumerate() {
-        let mut along = 0;
-        for &x in numbers {
-            add(row * lattice.per_axis + along, x);
-            along = if along + 1 == lattice.per_axis { 0 } else { along + 1 };
-        }
-    }
-}
-
-/// `V += (m/ρⱼ) vⱼ W` at the nodes of some rows.
+/// `V += (m/ρⱼ) vⱼ W` at the nodes of some planes.
 struct GivePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    rows: &'a Rows<D>,
+    lattice: &'a Lattice<D>,
+    /// Who gives.
+    slots: &'a [u32],
+    /// Number of the first plane.
+    plane: usize,
     columns: &'a mut [Vec<f64>; D],
 }
 
@@ -135,22 +128,36 @@ impl<K: Kernel, const D: usize> Pass for GivePass<'_, K, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { points, rows, columns } = self;
-        for k in 0..rows.len() {
-            let (slot, own) = rows.of(k);
-            let particle = &points.packed[slot];
+        let Self { points, lattice, slots, plane, columns } = self;
+        for &slot in slots {
+            let particle = &points.packed[slot as usize];
             let volume = points.mass / particle.density;
             let mut given = Vector::<W, D>::zero();
             for axis in 0..D {
                 given[axis] = W::of(particle.velocity[axis] * volume);
             }
-            for row in own {
-                let weight = rows.weights::<W>(row);
-                for axis in 0..D {
-                    let sum = load_at::<W>(&columns[axis], row.node()) + weight * given[axis];
-                    store_at(&mut columns[axis], row.node(), sum);
-                }
-            }
+            let mut giver = Giver { smoothing: points.smoothing, given, columns: &mut *columns };
+            lattice.around(Vector::from_3d(particle.position), plane, &mut giver);
+        }
+    }
+}
+
+/// A particle that gives.
+struct Giver<'a, W, K, const D: usize> {
+    smoothing: &'a Smoothing<K, D>,
+    /// `(m/ρⱼ) vⱼ`.
+    given: Vector<W, D>,
+    columns: &'a mut [Vec<f64>; D],
+}
+
+impl<W: Wide, K: Kernel, const D: usize> Meet<W, D> for Giver<'_, W, K, D> {
+    #[inline(always)]
+    fn meet(&mut self, places: [usize; 2], _: &Vector<W, D>, square: W) {
+        let weight = self.smoothing.value(square.sqrt());
+        for axis in 0..D {
+            let column = &mut self.columns[axis];
+            let sum = load_at::<W>(column, places) + weight * self.given[axis];
+            store_at(column, places, sum);
         }
     }
 }
@@ -166,12 +173,27 @@ pub fn field<K: Kernel, const D: usize>(
     }
     let lattice = Lattice::new(mesh, points.smoothing.support());
     let bins = &Bins::new(&lattice, points.packed);
-    let plane = mesh.len() / mesh.per_axis;
-    let planes = FEWEST_PLANES.max(FEWEST_NODES.div_ceil(plane)).min(mesh.per_axis);
-    nodes.par_chunks_mut(planes * plane).enumerate().for_each(|(task, values)| {
-        let first = task * planes;
-        let planes = first..first + values.len() / plane;
-        Planes { points, lattice, bins, planes }.find(values);
+    let (n, plane) = (mesh.per_axis, mesh.len() / mesh.per_axis);
+    let planes = FEWEST_PLANES.max(FEWEST_NODES.div_ceil(plane)).min(n);
+    let tasks = (0..n.div_ceil(planes)).into_par_iter();
+    let givers = tasks.map(|task| {
+        let planes = task * planes..n.min((task + 1) * planes);
+        Givers { points, lattice, bins, planes }
+    });
+    let given: Vec<_> = givers.map(|givers| givers.find()).collect();
+    let numbers = lattice.numbers_per_plane();
+    nodes.par_chunks_mut(plane).enumerate().for_each(|(plane, nodes)| {
+        for (task, columns) in given.iter().enumerate() {
+            let mut first = (plane + n - task * planes) % n * numbers;
+            while first < columns[0].len() {
+                fold(
+                    columns.each_ref().map(|column| &column[first..first + numbers]),
+                    &lattice,
+                    nodes,
+                );
+                first += n * numbers;
+            }
+        }
     });
     nodes
 }
@@ -212,33 +234,25 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
         adjoint.position.par_chunks_mut(CHUNK).zip(adjoint.velocity.par_chunks_mut(CHUNK));
     let columns = columns.zip(adjoint.density.par_chunks_mut(CHUNK));
     let chunks = columns.zip(points.packed.par_chunks(CHUNK));
-    chunks.enumerate().for_each(|(number, (((position, velocity), density), particles))| {
-        let mut rows = Rows::new(lattice);
-        let first = number * CHUNK;
-        let slots: [u32; CHUNK] = std::array::from_fn(|k| (first + k) as u32);
-        let mut slots = &slots[..particles.len()];
-        while !slots.is_empty() {
-            let added = rows.add(points.packed, slots, &(0..mesh.per_axis));
-            slots = &slots[added..];
-            rows.find_weights_and_pulls(points.smoothing);
-            let into = (&mut *position, &mut *velocity, &mut *density);
-            dispatch(TakePass { points, nodes, rows: &rows, first, into });
-            rows.clear();
-        }
+    chunks.for_each(|(((position, velocity), density), particles)| {
+        let into = (position, velocity, density);
+        dispatch(TakePass { points, lattice: &lattice, nodes, particles, into });
     });
     adjoint
 }
 
-/// The numbers of all nodes in rows that carry their beginning again behind their end, axis by axis.
+/// The numbers of all nodes, axis by axis: rows, and the planes that they make, carry their beginning again
+/// behind their end.
 fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Vec<f64>; D] {
-    let rows = nodes.len() / lattice.per_axis;
-    let mut columns = [(); D].map(|()| Vec::with_capacity(rows * lattice.width));
+    let numbers = lattice.planes(lattice.per_axis) * lattice.numbers_per_plane();
+    let again = lattice.width - lattice.per_axis;
+    let mut columns = [(); D].map(|()| Vec::with_capacity(numbers));
     for (axis, column) in columns.iter_mut().enumerate() {
         for row in nodes.chunks_exact(lattice.per_axis) {
             column.extend(row.iter().map(|node| node[axis]));
-            let again = lattice.width - lattice.per_axis;
             column.extend(row.iter().cycle().take(again).map(|node| node[axis]));
         }
+        column.extend_from_within(..numbers - column.len());
     }
     columns
 }
@@ -247,10 +261,10 @@ fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Ve
 /// `∂L/∂vⱼ = (m/ρⱼ) Σ λ W`, `∂L/∂rⱼ = −(m/ρⱼ) Σ s G (x − rⱼ)`, `∂L/∂ρⱼ = −(m/ρⱼ²) Σ s W`.
 struct TakePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
+    lattice: &'a Lattice<D>,
     nodes: &'a [Vec<f64>; D],
-    rows: &'a Rows<D>,
-    /// Slot of the first of all that take.
-    first: usize,
+    /// Who takes.
+    particles: &'a [Packed],
     into: (&'a mut [Vector<f64, D>], &'a mut [Vector<f64, D>], &'a mut [f64]),
 }
 
@@ -258,45 +272,54 @@ impl<K: Kernel, const D: usize> Pass for TakePass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(mut self) {
-        for k in 0..self.rows.len() {
-            self.take::<W>(k);
+    fn run<W: Wide>(self) {
+        let Self { points, lattice, nodes, particles, into } = self;
+        for (k, particle) in particles.iter().enumerate() {
+            let zero = Vector::zero();
+            let mut own = zero;
+            for axis in 0..D {
+                own[axis] = W::of(particle.velocity[axis]);
+            }
+            let sums = TakenSums { position: zero, velocity: zero, density: W::of(0.0) };
+            let mut taker = Taker { smoothing: points.smoothing, nodes, own, sums };
+            lattice.around(Vector::from_3d(particle.position), 0, &mut taker);
+            let (sums, volume) = (taker.sums, points.mass / particle.density);
+            into.0[k] = sum_lanes(&sums.position) * volume;
+            into.1[k] = sum_lanes(&sums.velocity) * volume;
+            into.2[k] = sums.density.sum() * volume / particle.density;
         }
     }
 }
 
-impl<K: Kernel, const D: usize> TakePass<'_, K, D> {
-    /// What the `k`-th particle of the rows takes.
+/// A particle that takes.
+struct Taker<'a, W, K, const D: usize> {
+    smoothing: &'a Smoothing<K, D>,
+    nodes: &'a [Vec<f64>; D],
+    /// `vⱼ`.
+    own: Vector<W, D>,
+    sums: TakenSums<W, D>,
+}
+
+/// What it has taken, by the volume `m/ρⱼ`.
+struct TakenSums<W, const D: usize> {
+    position: Vector<W, D>,
+    velocity: Vector<W, D>,
+    density: W,
+}
+
+impl<W: Wide, K: Kernel, const D: usize> Meet<W, D> for Taker<'_, W, K, D> {
     #[inline(always)]
-    fn take<W: Wide>(&mut self, k: usize) {
-        let rows = self.rows;
-        let (slot, own) = rows.of(k);
-        let particle = &self.points.packed[slot];
-        let mut own_velocity = Vector::<W, D>::zero();
+    fn meet(&mut self, places: [usize; 2], apart: &Vector<W, D>, square: W) {
+        let r = square.sqrt();
+        let weight = self.smoothing.value(r);
+        let mut cotangent = Vector::<W, D>::zero();
         for axis in 0..D {
-            own_velocity[axis] = W::of(particle.velocity[axis]);
+            cotangent[axis] = load_at(&self.nodes[axis], places);
         }
-        let mut position = Vector::<W, D>::zero();
-        let (mut velocity, mut density) = (position, W::of(0.0));
-        for row in own {
-            let (weight, pull) = (rows.weights::<W>(row), rows.pulls::<W>(row));
-            let mut cotangent = Vector::<W, D>::zero();
-            for axis in 0..D {
-                cotangent[axis] = load_at(&self.nodes[axis], row.node());
-            }
-            let along = cotangent.dot(own_velocity);
-            let pull = pull * along;
-            position[0] -= pull * rows.along::<W>(row);
-            for axis in 1..D {
-                position[axis] -= pull * row.apart[axis];
-            }
-            velocity += cotangent * weight;
-            density -= weight * along;
-        }
-        let (volume, number) = (self.points.mass / particle.density, slot - self.first);
-        self.into.0[number] = sum_lanes(&position) * volume;
-        self.into.1[number] = sum_lanes(&velocity) * volume;
-        self.into.2[number] = density.sum() * volume / particle.density;
+        let along = cotangent.dot(self.own);
+        self.sums.position -= *apart * (self.smoothing.gradient(r) * along);
+        self.sums.velocity += cotangent * weight;
+        self.sums.density -= weight * along;
     }
 }
 

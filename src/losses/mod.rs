@@ -8,8 +8,8 @@
 mod field;
 mod field_tangent;
 mod increments;
+mod lattice;
 mod mesh;
-mod rows;
 mod statistical;
 mod trajectory;
 

@@ -96,6 +96,16 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
             *slope = *slope * scale;
         }
     }
+
+    /// One evaluation and one pullback of the network, the lanes of its weights' sums not yet added up.
+    #[inline(always)]
+    fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
+        let value = self.evaluate(rho, room);
+        let by_value = stress * self.units.stress / (rho * rho);
+        room.output_cotangent[0] = by_value;
+        self.network.pullback(room);
+        room.input_cotangent[0] / self.units.compression - value * by_value * 2.0 / rho
+    }
 }
 
 impl<const D: usize> PairLaw<D> for EosNn<D> {

@@ -127,9 +127,8 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
         room: &mut Room,
     ) -> PairCotangent<W, D> {
         let stresses = self.stresses(pairs, room);
-        let s = self.medium.strength_gradient(&pairs.pair, stresses);
-        let (mut cotangent, along) = s.pullback(pairs, force);
-        room.output_cotangent[0] = (along * s.by_stress * self.units.stress).store();
+        let (mut cotangent, by_stress) = self.medium.pullback_of(pairs, stresses, force);
+        room.output_cotangent[0] = (by_stress * self.units.stress).store();
         self.network.pullback(room);
         cotangent.separation += self.by_separation(pairs, &room.input_cotangent);
         cotangent

@@ -103,10 +103,42 @@ impl<const D: usize> Medium<D> {
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
     ) -> PairCotangent<W, D> {
-        let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
-        let (mut cotangent, along) = s.pullback(pairs, force);
-        cotangent.stress = [s.by_stress * along; 2];
+        let (mut cotangent, by_stress) =
+            self.pullback_of(pairs, pairs.stress_i + pairs.stress_j, force);
+        cotangent.stress = [by_stress; 2];
         cotangent
+    }
+
+    /// The pullback of the force of eight pairs whose stresses sum to `X`, at fixed `X`, and `∂L/∂X`: with
+    /// the derivatives `s_r`, `s_v` of the strength by `r·δr` and `v·r`, and `a = λ·rᵢⱼ`,
+    /// `∂L/∂rᵢⱼ = s λ + a s_r rᵢⱼ + a s_v vᵢⱼ`, `∂L/∂vᵢⱼ = a s_v rᵢⱼ`. It is [`Medium::strength_gradient`]
+    /// times `a`, which costs less where all terms of the viscosity share one factor.
+    #[inline(always)]
+    pub fn pullback_of<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        stresses: W,
+        force: Vector<W, D>,
+    ) -> (PairCotangent<W, D>, W) {
+        let (r, v, h) = (pairs.separation, pairs.velocity, self.smoothing.h);
+        let by = self.viscosity();
+        let [gradient, curvature] = self.smoothing.slopes(pairs.pair.r2.sqrt());
+        let viscous = monaghan_gradient(&pairs.pair, h, &by);
+        let (pull, total) = (gradient * -self.mass, stresses + viscous.value);
+        let along = force.dot(r);
+        let by_stress = along * pull;
+        let by_approach = viscous.by_approach * by_stress;
+        let by_separation =
+            total * curvature * (along * -self.mass) + by_approach * viscous.mu * (-2.0 / h);
+        let linear = viscous.linear * by_stress;
+        let cotangent = PairCotangent {
+            separation: force * (total * pull) + r * by_separation + v * by_approach,
+            velocity: r * by_approach,
+            stress: [W::of(0.0); 2],
+            density: [viscous.by_density * by_stress; 2],
+            parameters: [-(by.alpha * linear), -(by.c * linear), viscous.mu * linear],
+        };
+        (cotangent, by_stress)
     }
 
     /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.

@@ -315,6 +315,16 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     fn stress_weights(&self, rho: Lanes, room: &mut Room) {
         let _ = (rho, room);
     }
+
+    /// The transpose of both: from `∂L/∂A` of eight particles, `∂L/∂ρ` through `A`; the derivatives by
+    /// parameters and weights are added to the room's sums.
+    fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
+        let slope = self.stress_slope(rho, room);
+        for (sum, by) in room.physical.iter_mut().zip(slope.by_parameter) {
+            *sum += by * stress;
+        }
+        slope.by_density * stress
+    }
 }
 
 /// What two particles do to each other.
@@ -366,7 +376,7 @@ pub struct Passed<'a, const D: usize> {
     pub position: &'a mut [Vector<f64, D>],
     /// `∂L/∂v`, added to.
     pub velocity: &'a mut [Vector<f64, D>],
-    /// `(∂L/∂A, ∂L/∂ρ)`, overwritten.
+    /// `(∂L/∂A, ∂L/∂ρ)`, added to.
     pub scalars: &'a mut [(f64, f64)],
     /// What belongs to the neighbours, place by place as in the chunk's lists; filled where
     /// [`Model::passes_to_neighbours`].

@@ -379,7 +379,6 @@ impl<const D: usize> Pass for PullPass<'_, D> {
             model.network.pullback(room);
             for lane in 0..lanes {
                 let k = first + lane;
-                into.scalars[k] = (0.0, 0.0);
                 for rank in 0..model.nearest {
                     let place = room.nearest[lane * model.nearest + rank];
                     if place == MISSING {

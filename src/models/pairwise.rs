@@ -275,7 +275,8 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
                 into.position[k][axis] += sum.separation[axis].sum();
                 into.velocity[k][axis] += sum.velocity[axis].sum();
             }
-            into.scalars[k] = (sum.stress[0].sum(), sum.density[0].sum());
+            into.scalars[k].0 += sum.stress[0].sum();
+            into.scalars[k].1 += sum.density[0].sum();
             for (total, own) in parameters.iter_mut().zip(sum.parameters) {
                 *total += own;
             }

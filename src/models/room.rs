@@ -60,9 +60,10 @@ impl Room {
         self.weights.fill(Lanes::ZERO);
     }
 
-    /// The sums over all parameters, the physical ones first.
-    pub fn sums(&self) -> Vec<f64> {
-        self.physical.iter().chain(&self.weights).map(|lanes| lanes.sum()).collect()
+    /// Writes the sums over the parameters, the physical ones first, as many as are asked for.
+    pub fn write_sums(&self, into: &mut [f64]) {
+        let all = self.physical.iter().chain(&self.weights);
+        into.iter_mut().zip(all).for_each(|(sum, lanes)| *sum = lanes.sum());
     }
 }
 

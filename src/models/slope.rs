@@ -120,31 +120,6 @@ pub struct CentralSlope<W, const D: usize> {
     pub by_parameter: [W; 3],
 }
 
-impl<W: Wide> Strength<W> {
-    /// The pullback of the central force `f = s rᵢⱼ` at fixed stress, as that of [`CentralSlope`]: with
-    /// `a = λ·rᵢⱼ` and `s_r`, `s_v` the derivatives by `r·δr` and `v·r`,
-    /// `∂L/∂rᵢⱼ = s λ + a s_r rᵢⱼ + a s_v vᵢⱼ`, `∂L/∂vᵢⱼ = a s_v rᵢⱼ`; and `a`.
-    #[inline(always)]
-    pub fn pullback<const D: usize>(
-        &self,
-        pairs: &Batch<W, D>,
-        force: Vector<W, D>,
-    ) -> (PairCotangent<W, D>, W) {
-        let (r, v) = (pairs.separation, pairs.velocity);
-        let along = force.dot(r);
-        let (by_separation, by_approach) = (self.by_separation * along, self.by_approach * along);
-        let [by_c, by_alpha, by_beta] = self.by_parameter;
-        let cotangent = PairCotangent {
-            separation: force * self.value + r * by_separation + v * by_approach,
-            velocity: r * by_approach,
-            stress: [W::of(0.0); 2],
-            density: [self.by_density * along; 2],
-            parameters: [by_c * along, by_alpha * along, by_beta * along],
-        };
-        (cotangent, along)
-    }
-}
-
 impl<W: Wide, const D: usize> CentralSlope<W, D> {
     /// From the gradient of a strength that depends on `r²` and `v·r`.
     #[inline(always)]

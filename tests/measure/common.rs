@@ -31,6 +31,9 @@ pub(crate) struct Arguments {
     /// What pairs are evaluated in, `double` or `mixed`; of `gradients`.
     #[arg(long, value_parser = precision, default_value = "double")]
     pub(crate) precision: Precision,
+    /// Leave forward mode out; of `gradients`.
+    #[arg(long)]
+    pub(crate) adjoint: bool,
     /// That Cargo means to measure, and not to test.
     #[arg(long, hide = true)]
     bench: bool,

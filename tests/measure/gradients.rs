@@ -55,10 +55,16 @@ fn measure(arguments: &Arguments, side: usize) {
         if arguments.model.as_ref().is_some_and(|model| model != kind) {
             continue;
         }
-        let contestant = Contestant::new(&setting, kind, arguments.quick || side > 16);
+        let mut contestant = Contestant::new(&setting, kind, arguments.quick || side > 16);
+        if arguments.adjoint {
+            contestant.columns.clear();
+        }
         let took = contestant.measure(&setting, arguments.rounds);
         contestant.print_adjoint(&setting, &took);
         tables.push((contestant, took));
+    }
+    if arguments.adjoint {
+        return;
     }
     println!("\nforward mode by number of parameters p, with the normal matrix it serves");
     tables.iter().for_each(|(contestant, took)| contestant.print_forward_mode(took));
