@@ -65,7 +65,7 @@ pub fn write_acceleration<const D: usize>(
 /// System: the tangent of [`accelerate`] for every block of parameters: the direct share of a
 /// network's weights, which one pass finds for all blocks, and what comes through the state.
 ///
-/// Pairs are linearised once, [`WINDOW`] chunks at a time, and then serve one block after another, so that a
+/// Pairs are linearised once, a few chunks at a time, and then serve one block after another, so that a
 /// block's sensitivities are fetched once.
 pub fn accelerate_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,

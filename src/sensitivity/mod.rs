@@ -42,7 +42,7 @@ impl Gradient {
     /// The way taken: the adjoint, whatever the number of parameters, unless something only `forward` has is
     /// needed: the derivatives of every residual, or local coupling.
     ///
-    /// There is no number of parameters below which `forward` is cheaper: its first block costs 1.6 to 2.6
+    /// There is no number of parameters below which `forward` is cheaper: its first block costs 1.4 to 2.6
     /// adjoints by all parameters, since the pairs are linearised and a network's weights differentiated for
     /// one block as for twenty. `cargo bench --bench gradients` prints where the two cross.
     pub fn choose(self, needs_forward: bool) -> Self {
