@@ -1,7 +1,8 @@
 //! What stirs the flow, appendix A.3: deterministic energy injection and stochastic large-scale modes.
 
 use crate::cells::FEWEST;
-use crate::scalar::Lanes;
+use crate::packed::{Packed, PackedSensitivity};
+use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
 use crate::vector::Vector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -111,13 +112,42 @@ impl EnergyInjection {
         by_rate / self.energy
     }
 
-    /// `(v − origin)·δv`, one particle's part of the work that `tangent` wants.
-    pub fn work<const D: usize>(&self, velocity: [f64; 3], change: Vector<Lanes, D>) -> Lanes {
-        let mut work = Lanes::ZERO;
-        for axis in 0..D {
-            work += change[axis] * (velocity[axis] - self.origin[axis]);
+    /// `Σ δv` and `Σ (v − origin)·δv` over some particles, as [`Self::tangent`] wants them.
+    pub fn sums<const D: usize>(
+        &self,
+        particles: &[Packed],
+        changes: &[PackedSensitivity<D>],
+    ) -> (Vector<Lanes, D>, Lanes) {
+        dispatch(Sums { law: self, particles, changes })
+    }
+}
+
+/// [`EnergyInjection::sums`].
+struct Sums<'a, const D: usize> {
+    law: &'a EnergyInjection,
+    particles: &'a [Packed],
+    changes: &'a [PackedSensitivity<D>],
+}
+
+impl<const D: usize> Pass for Sums<'_, D> {
+    type Output = (Vector<Lanes, D>, Lanes);
+
+    #[inline(always)]
+    fn run<W: Wide>(self) -> Self::Output {
+        let Self { law, particles, changes } = self;
+        let (mut sum, mut work) = (Vector::<W::Double, D>::zero(), W::Double::of(0.0));
+        for (particle, change) in particles.iter().zip(changes) {
+            for axis in 0..D {
+                let change = W::Double::load(&change.velocity[axis]);
+                sum[axis] += change;
+                work += change * (particle.velocity[axis] - law.origin[axis]);
+            }
         }
-        work
+        let mut stored = Vector([Lanes::ZERO; D]);
+        for axis in 0..D {
+            stored[axis] = sum[axis].store();
+        }
+        (stored, work.store())
     }
 }
 
@@ -149,17 +179,41 @@ pub struct InjectionTangent<const D: usize> {
 }
 
 impl<const D: usize> InjectionTangent<D> {
-    /// `δf = (θ/E)(δv − δv̄) + δ(θ/E)(v − v̄)`.
-    pub fn force(
+    /// Adds `δf = (θ/E)(δv − δv̄) + δ(θ/E)(v − v̄)` of some particles to `out`.
+    pub fn add_force(
         &self,
         law: &EnergyInjection,
-        velocity: [f64; 3],
-        change: Vector<Lanes, D>,
-    ) -> Vector<Lanes, D> {
-        Vector(std::array::from_fn(|axis| {
-            (change[axis] - self.mean[axis]) * law.rate
-                + self.rate * (velocity[axis] - law.mean[axis])
-        }))
+        (particles, changes): (&[Packed], &[PackedSensitivity<D>]),
+        out: &mut [Vector<Lanes, D>],
+    ) {
+        dispatch(AddForce { tangent: self, law, particles, changes, out });
+    }
+}
+
+/// [`InjectionTangent::add_force`].
+struct AddForce<'a, const D: usize> {
+    tangent: &'a InjectionTangent<D>,
+    law: &'a EnergyInjection,
+    particles: &'a [Packed],
+    changes: &'a [PackedSensitivity<D>],
+    out: &'a mut [Vector<Lanes, D>],
+}
+
+impl<const D: usize> Pass for AddForce<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { tangent, law, particles, changes, out } = self;
+        let by_rate = W::Double::load(&tangent.rate);
+        for ((particle, change), out) in particles.iter().zip(changes).zip(out) {
+            for axis in 0..D {
+                let apart =
+                    W::Double::load(&change.velocity[axis]) - W::Double::load(&tangent.mean[axis]);
+                let force = apart * law.rate + by_rate * (particle.velocity[axis] - law.mean[axis]);
+                out[axis] = (W::Double::load(&out[axis]) + force).store();
+            }
+        }
     }
 }
 

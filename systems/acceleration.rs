@@ -2,10 +2,10 @@
 
 use super::neighbours::Neighbours;
 use super::particles::{
-    Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
+    Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud,
 };
 use crate::cells::FEWEST;
-use crate::models::{Columns, Model, PairShare, Passed};
+use crate::models::{Kept, Model, PairShare, Passed, Slopes};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{CHUNK, Chunk, Hood, Lines};
 use crate::scalar::{Lanes, WIDTH};
@@ -17,6 +17,10 @@ use std::sync::{Arc, Weak};
 /// The model that moves the particles of a World.
 #[derive(Resource, Debug)]
 pub struct Law<const D: usize>(pub Box<dyn Model<D>>);
+
+/// Chunks whose pairs are held linearised at once: more spare a block's sensitivities from being fetched by
+/// two windows, fewer keep the pairs in the cache.
+pub(super) const WINDOW: usize = 4;
 
 /// Accelerations of all particles by the model's own force, in cell order.
 pub fn model_accelerations<const D: usize>(
@@ -60,6 +64,9 @@ pub fn write_acceleration<const D: usize>(
 
 /// System: the tangent of [`accelerate`] for every block of parameters: the direct share of a
 /// network's weights, which one pass finds for all blocks, and what comes through the state.
+///
+/// Pairs are linearised once, a few chunks at a time, and then serve one block after another, so that a
+/// block's sensitivities are fetched once.
 pub fn accelerate_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
@@ -67,8 +74,9 @@ pub fn accelerate_tangent<const D: usize>(
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
-    let SensitivityCloud { blocks, coupling, stress_slopes, weight_shares } = &mut *sensitivities;
-    let lines = cloud.lines();
+    let SensitivityCloud { blocks, coupling, stress_slopes, weight_shares, slopes, .. } =
+        &mut *sensitivities;
+    let (lines, coupling) = (cloud.lines(), *coupling);
     let network = model.network().filter(|_| model.has_force_network());
     let count = network.map_or(0, |network| network.weights.len());
     weight_shares.resize(cloud.len() * D * count, 0.0);
@@ -77,43 +85,43 @@ pub fn accelerate_tangent<const D: usize>(
         let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.weight_shares(hood, room, shares));
     });
-    let (mut out, mut columns) = (Vec::new(), Vec::new());
-    for block in blocks {
-        start_with_shares(block, weight_shares, count);
-        out.push(&mut block.acceleration[..]);
-        columns.push(Columns {
-            sensitivities: &block.packed,
-            directions: &block.directions,
-            coupling: *coupling,
-            stress_slopes,
+    slopes.resize_with(neighbours.chunks.len().min(WINDOW), Slopes::default);
+    for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
+        let first = number * WINDOW * CHUNK;
+        chunks.par_iter().zip(&mut *slopes).for_each(|(chunk, slopes)| {
+            let hood = Hood { lines, chunk, space };
+            let kept = Kept { coupling, stress_slopes };
+            rooms.enter(model.network(), |room| model.slopes(hood, kept, room, slopes));
+        });
+        blocks.par_iter_mut().for_each(|block| {
+            let SensitivityBlock { packed, acceleration, directions, weights, .. } = block;
+            let chunks = acceleration[first..].par_chunks_mut(CHUNK).zip(&*slopes).zip(chunks);
+            chunks.for_each(|((out, slopes), chunk)| {
+                let shares = &weight_shares[chunk.first * D * count..];
+                start_with_shares((shares, count), weights, out);
+                slopes.add_tangents(chunk.first, packed, directions, out);
+            });
         });
     }
-    let chunks = neighbours.chunks.par_iter().zip(side_by_side(out));
-    chunks.for_each(|(chunk, mut out)| {
-        let hood = Hood { lines, chunk, space };
-        rooms.enter(model.network(), |room| model.tangents(hood, &columns, room, &mut out));
-    });
 }
 
-/// `δF` of a block as far as it comes from its weights directly.
+/// `δF` of some particles as far as it comes from a block's weights directly.
 fn start_with_shares<const D: usize>(
-    block: &mut SensitivityBlock<D>,
-    shares: &[f64],
-    count: usize,
+    (shares, count): (&[f64], usize),
+    weights: &[(usize, usize)],
+    out: &mut [Vector<Lanes, D>],
 ) {
-    block.acceleration.fill(Vector([Lanes::ZERO; D]));
+    out.fill(Vector([Lanes::ZERO; D]));
     if count == 0 {
         return;
     }
-    let SensitivityBlock { acceleration, weights, .. } = block;
-    let rows = acceleration.par_iter_mut().zip(shares.par_chunks_exact(D * count));
-    rows.with_min_len(CHUNK).for_each(|(a, shares)| {
-        for &(lane, weight) in &*weights {
+    for (a, shares) in out.iter_mut().zip(shares.chunks_exact(D * count)) {
+        for &(lane, weight) in weights {
             for axis in 0..D {
                 a[axis].set_lane(lane, shares[axis * count + weight]);
             }
         }
-    });
+    }
 }
 
 /// System: the pullback of [`accelerate`].

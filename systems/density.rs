@@ -1,15 +1,15 @@
 //! Density by summation, Eq. (17), with its tangent and its pullback.
 
-use super::acceleration::Law;
+use super::acceleration::{Law, WINDOW};
 use super::neighbours::Neighbours;
 use super::particles::{
     AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
 };
 use crate::cells::FEWEST;
-use crate::models::{Change, Medium, Model, Parameter, Room, StressSlope};
+use crate::models::{Medium, Model, Parameter, Room, StressSlope};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity};
 use crate::pairs::{AHEAD, CHUNK, Hood, Lines, adjoints, separation};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -101,12 +101,109 @@ pub fn write_density<const D: usize>(mut densities: Query<&mut Density>, cloud: 
     }
 }
 
-/// `δρᵢ = Σⱼ m G rᵢⱼ·(δrᵢ − δrⱼ)` over one chunk of particles and one block of parameters.
-struct DensityTangent<'a, const D: usize> {
+/// What the density tangent of a chunk of particles is made of, for every block of parameters:
+/// `δρᵢ = (Σⱼ m G rᵢⱼ)·δrᵢ − Σⱼ m G rᵢⱼ·δrⱼ`.
+#[derive(Clone, Debug, Default)]
+pub struct Pulls<const D: usize> {
+    /// The first sum.
+    own: Vec<[f64; D]>,
+    /// Where each particle's pairs start; one more at the end.
+    start: Vec<u32>,
+    /// The neighbours within `2h`.
+    slots: Vec<u32>,
+    /// Of each its `m G rᵢⱼ`.
+    pulls: Vec<[f64; D]>,
+    /// How many pairs there are; what lies behind is anything.
+    filled: usize,
+}
+
+impl<const D: usize> Pulls<D> {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of::<[f64; D]>() * (self.own.capacity() + self.pulls.capacity())
+            + 4 * (self.start.capacity() + self.slots.capacity())
+    }
+
+    /// Adds those of eight pairs whose pull has a size, and who are somebody.
+    #[inline(always)]
+    fn push(&mut self, slots: &[u32; WIDTH], (sizes, nobody): (Lanes, usize), pulls: &[Lanes; D]) {
+        let end = self.filled + WIDTH;
+        if self.slots.len() < end {
+            self.slots.resize(end * 9 / 8, 0);
+            self.pulls.resize(end * 9 / 8, [0.0; D]);
+        }
+        let (Some(others), Some(rows)) = (
+            self.slots[self.filled..].first_chunk_mut::<WIDTH>(),
+            self.pulls[self.filled..].first_chunk_mut::<WIDTH>(),
+        ) else {
+            return;
+        };
+        // Without a branch that nobody can predict: those that do not act are overwritten.
+        let mut count = 0;
+        for (lane, &slot) in slots.iter().enumerate() {
+            // No more than the lanes before it.
+            let place = count % WIDTH;
+            others[place] = slot;
+            for axis in 0..D {
+                rows[place][axis] = pulls[axis].lane(lane);
+            }
+            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+        }
+        self.filled += count;
+    }
+}
+
+/// Finds the [`Pulls`] of a chunk.
+struct PullsPass<'a, const D: usize> {
     hood: Hood<'a>,
     medium: &'a Medium<D>,
-    sensitivity: &'a [PackedSensitivity<D>],
     coupling: Coupling,
+    into: &'a mut Pulls<D>,
+}
+
+impl<const D: usize> Pass for PullsPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { hood: Hood { lines, chunk, space }, medium, coupling, into } = self;
+        let Medium { smoothing, mass, .. } = medium;
+        into.own.clear();
+        into.filled = 0;
+        into.start.clear();
+        into.start.push(0);
+        let nobody = lines.double.len() - 1;
+        for k in 0..chunk.len() {
+            let space = chunk.around(k, space);
+            let mut sum = Vector::<W::Double, D>::zero();
+            for slots in chunk.neighbours(k) {
+                let r = separation::<W, D>(lines, chunk.first + k, slots, space);
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
+                let (sizes, mut pulls) = (pull.store(), [Lanes::ZERO; D]);
+                for axis in 0..D {
+                    let along = (r[axis] * pull).widen();
+                    pulls[axis] = along.store();
+                    sum[axis] += along;
+                }
+                if coupling == Coupling::Full {
+                    into.push(slots, (sizes, nobody), &pulls);
+                }
+            }
+            let mut own = [0.0; D];
+            for axis in 0..D {
+                own[axis] = sum[axis].sum();
+            }
+            into.own.push(own);
+            into.start.push(into.filled as u32);
+        }
+    }
+}
+
+/// `δρ` of one chunk of particles for one block of parameters.
+struct DensityTangent<'a, const D: usize> {
+    pulls: &'a Pulls<D>,
+    first: usize,
+    sensitivity: &'a [PackedSensitivity<D>],
     density: &'a mut [Lanes],
 }
 
@@ -115,31 +212,18 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Hood { lines, chunk, space } = self.hood;
-        let Medium { smoothing, mass, .. } = self.medium;
-        for (k, density) in self.density.iter_mut().enumerate() {
-            let slot = chunk.first + k;
-            let own = Change::<W::Double, D>::load(&self.sensitivity[slot]).position;
+        let Self { pulls, first, sensitivity, density } = self;
+        for (k, density) in density.iter_mut().enumerate() {
+            let own = &sensitivity[first + k].position;
             let mut sum = W::Double::of(0.0);
-            let space = chunk.around(k, space);
-            for slots in chunk.neighbours(k) {
-                let r = separation::<W, D>(lines, slot, slots, space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
-                let mut pulls = [Lanes::ZERO; D];
+            for axis in 0..D {
+                sum += W::Double::load(&own[axis]) * pulls.own[k][axis];
+            }
+            let pairs = pulls.start[k] as usize..pulls.start[k + 1] as usize;
+            for (&slot, pull) in pulls.slots[pairs.clone()].iter().zip(&pulls.pulls[pairs]) {
+                let other = &sensitivity[slot as usize].position;
                 for axis in 0..D {
-                    pulls[axis] = (r[axis] * pull).store();
-                }
-                for (lane, &j) in slots.iter().enumerate() {
-                    let Some(other) = self.sensitivity.get(j as usize) else {
-                        break;
-                    };
-                    for axis in 0..D {
-                        let mut apart = own[axis];
-                        if self.coupling == Coupling::Full {
-                            apart -= W::Double::load(&other.position[axis]);
-                        }
-                        sum += apart * pulls[axis].lane(lane);
-                    }
+                    sum -= W::Double::load(&other[axis]) * pull[axis];
                 }
             }
             *density = sum.store();
@@ -156,16 +240,22 @@ pub fn sum_density_tangent<const D: usize>(
 ) {
     let (model, rooms) = (&*law.0, &*rooms);
     let medium = model.medium();
-    let SensitivityCloud { blocks, coupling, stress_slopes, .. } = &mut *sensitivities;
+    let SensitivityCloud { blocks, coupling, stress_slopes, pulls, .. } = &mut *sensitivities;
     stress_slopes.resize(cloud.len(), 0.0);
     let (lines, space, coupling) = (cloud.lines(), neighbours.space, *coupling);
-    for block in &mut *blocks {
-        let sensitivity = &block.packed;
-        let chunks = neighbours.chunks.par_iter().zip(block.density.par_chunks_mut(CHUNK));
-        chunks.for_each(|(chunk, density)| {
+    pulls.resize_with(neighbours.chunks.len().min(WINDOW), Pulls::default);
+    for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
+        let first = number * WINDOW * CHUNK;
+        chunks.par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
             let hood = Hood { lines, chunk, space };
-            let pass = DensityTangent { hood, medium, sensitivity, coupling, density };
-            dispatch_in(lines.precision, pass);
+            dispatch_in(lines.precision, PullsPass { hood, medium, coupling, into });
+        });
+        blocks.par_iter_mut().for_each(|block| {
+            let SensitivityBlock { packed: sensitivity, density, .. } = block;
+            let chunks = density[first..].par_chunks_mut(CHUNK).zip(&*pulls).zip(chunks);
+            chunks.for_each(|((density, pulls), chunk)| {
+                dispatch(DensityTangent { pulls, first: chunk.first, sensitivity, density });
+            });
         });
     }
     let (mut packed, mut columns) = (Vec::new(), Vec::new());
@@ -221,34 +311,45 @@ impl<const D: usize> StressTangent<'_, '_, D> {
             for (lane, slope) in slopes.iter_mut().enumerate() {
                 *slope = stress.by_density.lane(lane);
             }
-            let weights = with_weights.then_some(&room.weights[..]);
+            let by_weight = with_weights.then_some(&room.weights[..]);
             for (lines, columns) in blocks.iter_mut().zip(columns) {
                 let lines = &mut lines[number * WIDTH..][..slopes.len()];
-                columns.fill(first + number * WIDTH, lines, (&stress, weights));
+                let density = &columns.density[first + number * WIDTH..];
+                dispatch(Fill { columns, density, lines, stress: &stress, by_weight });
             }
         }
     }
 }
 
-impl StressColumns<'_> {
-    /// `δρ` and `δA` of up to eight particles from slot `first` on.
-    fn fill<const D: usize>(
-        &self,
-        first: usize,
-        lines: &mut [PackedSensitivity<D>],
-        (stress, by_weight): (&StressSlope, Option<&[Lanes]>),
-    ) {
-        for (lane, (line, &density)) in lines.iter_mut().zip(&self.density[first..]).enumerate() {
-            line.density = density;
-            line.stress = density * stress.by_density.lane(lane);
-            for (direction, slope) in self.directions.iter().zip(&stress.by_parameter) {
-                line.stress += *direction * slope.lane(lane);
+/// `δρ` and `δA` of up to eight particles for one block of parameters.
+struct Fill<'a, const D: usize> {
+    columns: &'a StressColumns<'a>,
+    density: &'a [Lanes],
+    lines: &'a mut [PackedSensitivity<D>],
+    stress: &'a StressSlope,
+    by_weight: Option<&'a [Lanes]>,
+}
+
+impl<const D: usize> Pass for Fill<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { columns, density, lines, stress, by_weight } = self;
+        let mut direct = [Lanes::ZERO; WIDTH];
+        if let Some(by_weight) = by_weight {
+            for &(column, weight) in columns.weights {
+                direct[column] = by_weight[weight];
             }
-            let Some(by_weight) = by_weight else { continue };
-            for &(column, weight) in self.weights {
-                let slope = line.stress.lane(column) + by_weight[weight].lane(lane);
-                line.stress.set_lane(column, slope);
+        }
+        let direct = transposed::<W>(&direct);
+        for (lane, (line, density)) in lines.iter_mut().zip(density).enumerate() {
+            let mut change = W::Double::load(density) * stress.by_density.lane(lane);
+            for (direction, slope) in columns.directions.iter().zip(&stress.by_parameter) {
+                change += W::Double::load(direction) * slope.lane(lane);
             }
+            line.density = *density;
+            line.stress = (change + direct[lane]).store();
         }
     }
 }

@@ -2,11 +2,12 @@
 
 use super::acceleration::Law;
 use super::neighbours::CHUNK;
-use super::particles::{AdjointCloud, Cloud, SensitivityCloud};
+use super::particles::{AdjointCloud, Cloud, SensitivityBlock, SensitivityCloud};
 use super::verlet::{Clock, Integrator};
 use crate::cells::FEWEST;
 use crate::forcing::{EnergyInjection, Mode, Power, stochastic_modes};
 use crate::models::Parameter;
+use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::Lanes;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -70,25 +71,25 @@ pub fn force_deterministically_tangent<const D: usize>(
 ) {
     let Some(law) = forcing.law else { return };
     let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
-    for block in &mut sensitivities.blocks {
-        let theta = block.directions[Parameter::Theta.index()];
-        let mut sums = (Vector::<Lanes, D>::zero(), Lanes::ZERO);
-        for (change, p) in block.packed.iter().zip(cloud.particles()) {
-            sums.0 += change.velocity;
-            sums.1 += law.work(p.velocity, change.velocity);
+    let particles = cloud.particles();
+    sensitivities.blocks.par_iter_mut().for_each(|block| {
+        let SensitivityBlock { packed, acceleration, directions, .. } = block;
+        let theta = directions[Parameter::Theta.index()];
+        let of = |particles: &[Packed], changes: &[PackedSensitivity<D>]| {
+            law.tangent(cloud.len(), law.sums(particles, changes), theta)
+        };
+        if full {
+            let all = of(particles, packed);
+            let chunks = acceleration.par_chunks_mut(CHUNK).zip(packed.par_chunks(CHUNK));
+            let chunks = chunks.zip(particles.par_chunks(CHUNK));
+            chunks.for_each(|((out, changes), rows)| all.add_force(&law, (rows, changes), out));
+        } else {
+            for (slot, a) in acceleration.chunks_mut(1).enumerate() {
+                let (change, particle) = (&packed[slot..=slot], &particles[slot..=slot]);
+                of(particle, change).add_force(&law, (particle, change), a);
+            }
         }
-        let all = law.tangent(cloud.len(), sums, theta);
-        let lines = block.acceleration.par_iter_mut().zip(&block.packed).zip(cloud.particles());
-        lines.with_min_len(CHUNK).for_each(|((a, change), p)| {
-            let change = change.velocity;
-            let own = if full {
-                all
-            } else {
-                law.tangent(cloud.len(), (change, law.work(p.velocity, change)), theta)
-            };
-            *a += own.force(&law, p.velocity, change);
-        });
-    }
+    });
 }
 
 /// Stochastic forcing of a World.

@@ -136,7 +136,7 @@ pub fn advance<const D: usize>(needs: Needs) -> Schedule {
     let mut schedule = in_order(Program::Advance);
     let add = &mut schedule;
     if needs.step.refreshes() {
-        add_packed_velocities::<false, D>(add, needs, Refresh::Pack);
+        add_packed_velocities::<false, false, D>(add, needs, Refresh::Pack);
         add_forces::<D>(add, needs, [Refresh::Force, Refresh::Forcing, Refresh::Return]);
     }
     with_tangent(add, needs, (verlet::kick::<D>, verlet::kick_tangent::<D>), Phase::FirstKick);
@@ -216,19 +216,19 @@ fn with_tangent<A, B>(
     }
 }
 
-fn add_packed_velocities<const PREDICTED: bool, const D: usize>(
+fn add_packed_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
     schedule: &mut Schedule,
     needs: Needs,
     set: impl SystemSet,
 ) {
     let value = neighbours::pack_velocities::<PREDICTED, D>;
-    with_tangent(schedule, needs, (value, verlet::pack_sensitivities::<PREDICTED, D>), set);
+    with_tangent(schedule, needs, (value, verlet::pack_sensitivities::<PREDICTED, MOVED, D>), set);
 }
 
 /// Neighbours and density: what the forces stand on.
 fn add_density<const PREDICTED: bool, const D: usize>(schedule: &mut Schedule, needs: Needs) {
     schedule.add_systems(neighbours::find_neighbours::<D>.in_set(Phase::Neighbours));
-    add_packed_velocities::<PREDICTED, D>(schedule, needs, Phase::Visible);
+    add_packed_velocities::<PREDICTED, true, D>(schedule, needs, Phase::Visible);
     let density = (density::sum_density::<D>, density::write_density::<D>).chain();
     let tangent = density::sum_density_tangent::<D>;
     with_tangent(schedule, needs, (density, tangent), Phase::Density);
@@ -352,7 +352,7 @@ fn add_judgement<const D: usize>(schedule: &mut Schedule, needs: Needs) {
                 .run_if(loss::is_observed::<D>)
                 .in_set(Phase::Loss),
         );
-        add_packed_velocities::<false, D>(schedule, needs, Judgement::Pack);
+        add_packed_velocities::<false, false, D>(schedule, needs, Judgement::Pack);
         if needs.adjoint {
             let accumulate = loss::accumulate_loss_adjoint::<D>;
             schedule.add_systems(accumulate.in_set(Judgement::Accumulate));

@@ -1,8 +1,9 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
 use super::acceleration::Senders;
+use super::density::Pulls;
 use crate::cells::FEWEST;
-use crate::models::{Learned, PairShare, Room};
+use crate::models::{Learned, PairShare, Room, Slopes};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::{CHUNK, Lines};
 use crate::scalar::{Lanes, Precision};
@@ -238,6 +239,10 @@ pub struct SensitivityCloud<const D: usize> {
     pub stress_slopes: Vec<f64>,
     /// `∂F/∂weights` at fixed state, `[slot][axis][weight]`; empty where no network makes the force.
     pub weight_shares: Vec<f64>,
+    /// How the densities of some chunks depend on places.
+    pub pulls: Vec<Pulls<D>>,
+    /// The pairs of some chunks, linearised.
+    pub slopes: Vec<Slopes>,
 }
 
 /// What threads need for a while and leave to the next: one for each thread, from the first use on.

@@ -1,12 +1,17 @@
 //! The step in time, appendix A.4: kicks and drifts, with their tangents.
 
+use super::neighbours::Neighbours;
 use super::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, BlockOf, Cloud, Position,
-    PositionAdjoint, PositionSensitivity, SensitivityCloud, Velocity, VelocityAdjoint,
-    VelocitySensitivity,
+    PositionAdjoint, PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity,
+    VelocityAdjoint, VelocitySensitivity, whole_column,
 };
 use crate::cells::FEWEST;
+use crate::packed::PackedSensitivity;
+use crate::pairs::CHUNK;
+use crate::scalar::{Lanes, Pass, Wide, dispatch};
 use crate::space::PeriodicBox;
+use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -126,10 +131,10 @@ pub fn kick_tangent<const D: usize>(
     mut blocks: Query<(&mut VelocitySensitivity<D>, &AccelerationSensitivity<D>)>,
     integrator: Res<Integrator>,
 ) {
-    let half = 0.5 * integrator.dt;
+    let factor = 0.5 * integrator.dt;
     for (mut velocities, accelerations) in blocks.contiguous_iter_mut().into_iter().flatten() {
         let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(FEWEST);
-        rows.for_each(|(v, a)| v.0 += a.0.map(|x| x * half));
+        rows.for_each(|(v, a)| dispatch(Add { to: &mut v.0, rate: &a.0, factor }));
     }
 }
 
@@ -138,14 +143,35 @@ pub fn drift_tangent<const D: usize>(
     mut blocks: Query<(&mut PositionSensitivity<D>, &VelocitySensitivity<D>)>,
     integrator: Res<Integrator>,
 ) {
+    let factor = integrator.dt;
     for (mut positions, velocities) in blocks.contiguous_iter_mut().into_iter().flatten() {
         let rows = positions.par_iter_mut().zip(velocities).with_min_len(FEWEST);
-        rows.for_each(|(r, v)| r.0 += v.0.map(|x| x * integrator.dt));
+        rows.for_each(|(r, v)| dispatch(Add { to: &mut r.0, rate: &v.0, factor }));
     }
 }
 
-/// System: packs `δr`, and the `δv` of the velocity that the next force evaluation sees.
-pub fn pack_sensitivities<const PREDICTED: bool, const D: usize>(
+/// Adds a rate times a factor.
+struct Add<'a, const D: usize> {
+    to: &'a mut Vector<Lanes, D>,
+    rate: &'a Vector<Lanes, D>,
+    factor: f64,
+}
+
+impl<const D: usize> Pass for Add<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        for axis in 0..D {
+            let rate = W::Double::load(&self.rate[axis]) * self.factor;
+            self.to[axis] = (W::Double::load(&self.to[axis]) + rate).store();
+        }
+    }
+}
+
+/// System: packs `δr` and the `δv` of the velocity that the next force evaluation sees; where particles have
+/// not `MOVED` since the last time, `δv` alone.
+pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
     rows: Query<(
         &BlockOf,
         &PositionSensitivity<D>,
@@ -153,16 +179,66 @@ pub fn pack_sensitivities<const PREDICTED: bool, const D: usize>(
         &AccelerationSensitivity<D>,
     )>,
     integrator: Res<Integrator>,
-    cloud: Res<Cloud<D>>,
+    neighbours: Res<Neighbours<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
+    let columns = || rows.contiguous_iter().into_iter().flatten();
+    let positions = whole_column(columns().map(|(_, r, ..)| r));
+    let velocities = whole_column(columns().map(|(_, _, v, _)| v));
+    let accelerations = whole_column(columns().map(|(.., a)| a));
+    let rows = &neighbours.cells.row_of_slot[..];
     let half = 0.5 * integrator.dt;
-    for (of, r, v, a) in rows.contiguous_iter().into_iter().flatten() {
-        for (((of, r), v), a) in of.iter().zip(r).zip(v).zip(a) {
-            let slot = cloud.slot_of_row[of.particle as usize] as usize;
-            let packed = &mut sensitivities.blocks[of.block as usize].packed[slot];
-            packed.position = r.0;
-            packed.velocity = if PREDICTED { v.0 + a.0.map(|x| x * half) } else { v.0 };
+    sensitivities.blocks.par_iter_mut().enumerate().for_each(|(block, cloud)| {
+        // Block by block, as they were spawned.
+        let own = block * rows.len()..(block + 1) * rows.len();
+        let columns = Columns {
+            positions: MOVED.then_some(&positions[own.clone()]),
+            velocities: &velocities[own.clone()],
+            accelerations: PREDICTED.then_some(&accelerations[own]),
+            half,
+        };
+        let chunks = cloud.packed.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK));
+        chunks.for_each(|(lines, rows)| dispatch(Pack { columns, rows, lines }));
+    });
+}
+
+/// What one block is packed from.
+#[derive(Clone, Copy)]
+struct Columns<'a, const D: usize> {
+    positions: Option<&'a [PositionSensitivity<D>]>,
+    velocities: &'a [VelocitySensitivity<D>],
+    accelerations: Option<&'a [AccelerationSensitivity<D>]>,
+    half: f64,
+}
+
+/// Packs some slots of one block.
+struct Pack<'a, const D: usize> {
+    columns: Columns<'a, D>,
+    rows: &'a [u32],
+    lines: &'a mut [PackedSensitivity<D>],
+}
+
+impl<const D: usize> Pass for Pack<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { columns: Columns { positions, velocities, accelerations, half }, rows, lines } =
+            self;
+        for (line, &row) in lines.iter_mut().zip(rows) {
+            let row = row as usize;
+            if let Some(positions) = positions {
+                for axis in 0..D {
+                    line.position[axis] = W::Double::load(&positions[row].0[axis]).store();
+                }
+            }
+            for axis in 0..D {
+                let mut seen = W::Double::load(&velocities[row].0[axis]);
+                if let Some(accelerations) = accelerations {
+                    seen += W::Double::load(&accelerations[row].0[axis]) * half;
+                }
+                line.velocity[axis] = seen.store();
+            }
         }
     }
 }
@@ -173,10 +249,32 @@ pub fn write_acceleration_tangent<const D: usize>(
     cloud: Res<Cloud<D>>,
     sensitivities: Res<SensitivityCloud<D>>,
 ) {
-    for (of, a) in rows.contiguous_iter_mut().into_iter().flatten() {
-        for (of, a) in of.iter().zip(a) {
-            let slot = cloud.slot_of_row[of.particle as usize] as usize;
-            a.0 = sensitivities.blocks[of.block as usize].acceleration[slot];
+    let (slots, blocks) = (&cloud.slot_of_row[..], &sensitivities.blocks[..]);
+    for (of, mut a) in rows.contiguous_iter_mut().into_iter().flatten() {
+        let chunks = a.par_chunks_mut(CHUNK).zip(of.par_chunks(CHUNK));
+        chunks.for_each(|(a, of)| dispatch(Write { of, slots, blocks, a }));
+    }
+}
+
+/// Writes some rows' `δF`.
+struct Write<'a, const D: usize> {
+    of: &'a [BlockOf],
+    slots: &'a [u32],
+    blocks: &'a [SensitivityBlock<D>],
+    a: &'a mut [AccelerationSensitivity<D>],
+}
+
+impl<const D: usize> Pass for Write<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        for (a, of) in self.a.iter_mut().zip(self.of) {
+            let slot = self.slots[of.particle as usize] as usize;
+            let found = &self.blocks[of.block as usize].acceleration[slot];
+            for axis in 0..D {
+                a.0[axis] = W::Double::load(&found[axis]).store();
+            }
         }
     }
 }

@@ -198,6 +198,23 @@ fn columns_of_sensitivities(dimension: usize, parameters: usize, weights: usize)
     all
 }
 
+/// The pairs of 1024 particles, linearised: those within `2h`, with room for as many again.
+fn pairs_held(scene: &Scene) -> [Expected; 2] {
+    let (dimension, reach) = (scene.dimension as f64, 2.0 * scene.fluid.smoothing_length);
+    let volume =
+        if scene.dimension == 2 { PI * reach.powi(2) } else { 4.0 / 3.0 * PI * reach.powi(3) };
+    let near = volume * scene.particles() as f64 / scene.fluid.box_length.powf(dimension);
+    let share = (1024.0 / scene.particles() as f64).min(1.0);
+    let held = |name: &str, own: f64, pair: [f64; 2]| -> Expected {
+        let bytes = |pair: f64, near: f64| share * (own + pair * near);
+        let most = 2.5 * bytes(pair[1], near + 8.0) + 64.0;
+        ("linearised pairs", name.to_owned(), [bytes(pair[0], near - 4.0), most])
+    };
+    let (pull, row) = (8.0 * dimension, 64.0);
+    let slope = [4.0 + 2.0 * row, 4.0 + row * dimension];
+    [held("pulls", pull + 4.0, [4.0 + pull; 2]), held("slopes", 2.0 * row * dimension + 4.0, slope)]
+}
+
 /// Columns of an adjoint, of a model that leaves shares with its neighbours or of one that does not.
 fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     let vector = 8.0 * scene.dimension as f64;
@@ -303,6 +320,7 @@ fn columns_of_a_gradient(
         };
         let weights = if in_the_force { learned } else { 0 };
         held.extend(columns_of_sensitivities(scene.dimension, learned, weights));
+        held.extend(pairs_held(scene));
         return (held, Vec::new());
     }
     held.extend(columns_of_an_adjoint(scene, in_the_force));

@@ -82,6 +82,8 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         coupling: differentiation.coupling,
         stress_slopes: Vec::new(),
         weight_shares: Vec::new(),
+        pulls: Vec::new(),
+        slopes: Vec::new(),
     };
     // All at once: a table that grows keeps as much again in reserve.
     world.spawn_batch((0..blocks * count).map(|row| {

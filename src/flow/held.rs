@@ -1,8 +1,10 @@
 //! What a World holds for its particles: columns of components, and arrays beside them.
 
 use super::Flow;
+use crate::models::Slopes;
 use crate::scalar::Precision;
 use crate::systems::Program;
+use crate::systems::density::Pulls;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
 use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, Identity, SensitivityCloud};
@@ -65,10 +67,11 @@ impl<const D: usize> Flow<D> {
     pub fn held(&self) -> Vec<Held> {
         let mut held = self.components();
         let count = self.particles().max(1) as f64;
-        let parts: [(&'static str, Arrays); 6] = [
+        let parts: [(&'static str, Arrays); 7] = [
             ("cloud", self.cloud_arrays()),
             ("neighbour lists", self.list_arrays()),
             ("sensitivities", self.sensitivity_arrays()),
+            ("linearised pairs", self.pair_arrays()),
             ("adjoint", self.adjoint_arrays()),
             ("tape", self.tape_arrays()),
             ("observations", self.observation_arrays()),
@@ -212,6 +215,17 @@ impl<const D: usize> Flow<D> {
             ("acceleration", blocks.map(|block| room(&block.acceleration)).sum()),
             ("stress_slopes", room(&cloud.stress_slopes)),
             ("weight_shares", room(&cloud.weight_shares)),
+        ]
+    }
+
+    /// Those of some chunks at once, for all blocks together.
+    fn pair_arrays(&self) -> Arrays {
+        let Some(cloud) = self.world.get_resource::<SensitivityCloud<D>>() else {
+            return Vec::new();
+        };
+        vec![
+            ("pulls", cloud.pulls.iter().map(Pulls::bytes).sum()),
+            ("slopes", cloud.slopes.iter().map(Slopes::bytes).sum()),
         ]
     }
 

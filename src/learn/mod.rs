@@ -230,12 +230,13 @@ impl<const D: usize> Learner<D> {
         })
     }
 
-    /// Bytes that the gradient takes beside the flow: sensitivities, or the most that tape and snapshots
+    /// Bytes that the gradient takes beside the flow: sensitivities with pairs linearised, or the most that tape and snapshots
     /// of the last adjoint held.
     pub fn gradient_bytes(&self) -> usize {
         let parts = self.flow.bytes_per_particle();
-        let sensitivities = parts.iter().find(|(part, _)| *part == "sensitivities");
-        let each = sensitivities.map_or(0.0, |(_, bytes)| *bytes);
+        let forward = ["sensitivities", "linearised pairs"];
+        let each = parts.iter().filter(|(part, _)| forward.contains(part));
+        let each = each.map(|(_, bytes)| *bytes).sum::<f64>();
         self.held + (each * self.from.positions.len() as f64).round() as usize
     }
 

@@ -1,12 +1,12 @@
 //! The field loss with its derivatives by the parameters: each node sees all sensitivities in its reach.
 
+use super::SquareSum;
 use super::field::{CHUNK, Points, field_value, sum_lanes};
 use super::mesh::Mesh;
-use super::{Panel, SquareSum};
 use crate::kernel::Kernel;
 use crate::packed::{Packed, PackedSensitivity, PackedSingle};
 use crate::pairs::{Chunk, pick};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::vector::Vector;
 use rayon::prelude::*;
 
@@ -91,85 +91,119 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         }
     }
 
-    /// `V(x)`, and into `columns[b·D + axis]` its derivative by the parameters of block `b`:
-    /// `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
+    /// `V(x)`, and into `givers` what its derivative is made of.
     #[inline(always)]
-    fn velocity_tangent<W: Wide>(
+    fn velocity<W: Wide>(
         &self,
         x: Vector<f64, D>,
-        blocks: &[&[PackedSensitivity<D>]],
-        (columns, near): (&mut [Lanes], &mut Chunk),
+        near: &mut Chunk,
+        givers: &mut Givers,
     ) -> Vector<f64, D> {
         let mut sum = Vector::<W::Double, D>::zero();
-        columns.fill(Lanes::ZERO);
         // A loop: the closure of a visitor is not inlined into vectorised functions.
         for slots in self.find::<W>(x, near) {
             let seen = self.see::<W>(x, slots);
             sum += seen.velocity * seen.weight;
-            let factors = Factors::new(&seen);
-            for (b, block) in blocks.iter().enumerate() {
-                let column = &mut columns[b * D..(b + 1) * D];
-                add_columns::<W::Double, D>(&factors, (block, slots), column);
-            }
+            givers.push(&seen, slots, self.points.packed.len());
         }
+        givers.start.push(givers.filled);
         sum_lanes(&sum)
     }
 }
 
-/// What the derivative by one of eight particles is made of, in memory.
-struct Factors<const D: usize> {
-    weight: Lanes,
-    velocity: [Lanes; D],
-    /// `(m/ρⱼ) W/ρⱼ`.
-    by_density: Lanes,
-    /// `(m/ρⱼ) G (x − rⱼ)`.
-    by_position: [Lanes; D],
+/// Whoever gives to the velocity at some nodes, with what the derivative by it is made of:
+/// `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
+#[derive(Default)]
+struct Givers {
+    /// Where those of each node start; one more at the end.
+    start: Vec<usize>,
+    slots: Vec<u32>,
+    /// `(m/ρⱼ) G (x − rⱼ)`, `vⱼ`, `(m/ρⱼ) W/ρⱼ` and `(m/ρⱼ) W`, lane after lane.
+    rows: Vec<Lanes>,
+    /// How many there are; what lies behind is anything.
+    filled: usize,
 }
 
-impl<const D: usize> Factors<D> {
+impl Givers {
     #[inline(always)]
-    fn new<W: Wide>(seen: &Seen<W, D>) -> Self {
-        let mut factors = Self {
-            weight: seen.weight.store(),
-            velocity: [Lanes::ZERO; D],
-            by_density: (seen.weight * seen.inverse_density).store(),
-            by_position: [Lanes::ZERO; D],
-        };
+    fn clear(&mut self) {
+        self.start.clear();
+        self.start.push(0);
+        self.filled = 0;
+    }
+
+    /// Appends those of eight particles that have a weight; nobody has none.
+    #[inline(always)]
+    fn push<W: Wide<Double = W>, const D: usize>(
+        &mut self,
+        seen: &Seen<W, D>,
+        slots: &[u32; WIDTH],
+        nobody: usize,
+    ) {
+        let mut columns = [Lanes::ZERO; WIDTH];
         for axis in 0..D {
-            factors.velocity[axis] = seen.velocity[axis].store();
-            factors.by_position[axis] = (seen.apart[axis] * seen.pull).store();
+            columns[axis] = (seen.apart[axis] * seen.pull).store();
+            columns[D + axis] = seen.velocity[axis].store();
         }
-        factors
+        columns[2 * D] = (seen.weight * seen.inverse_density).store();
+        columns[2 * D + 1] = seen.weight.store();
+        let (rows, sizes) =
+            (transposed::<W>(&columns), (seen.weight.abs() + seen.pull.abs()).store());
+        let end = self.filled + WIDTH;
+        if self.slots.len() < end {
+            self.slots.resize(2 * end, 0);
+            self.rows.resize(2 * end, Lanes::ZERO);
+        }
+        let (Some(others), Some(found)) = (
+            self.slots[self.filled..].first_chunk_mut::<WIDTH>(),
+            self.rows[self.filled..].first_chunk_mut::<WIDTH>(),
+        ) else {
+            return;
+        };
+        // Without a branch that nobody can predict: those without a weight are overwritten.
+        let mut count = 0;
+        for (lane, &slot) in slots.iter().enumerate() {
+            // No more than the lanes before it.
+            let place = count % WIDTH;
+            (others[place], found[place]) = (slot, rows[lane].store());
+            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+        }
+        self.filled += count;
+    }
+
+    /// The derivatives of the velocity at every node by one block of parameters: component after component,
+    /// each time `blocks` further in `columns`.
+    #[inline(always)]
+    fn differentiate<W: Wide, const D: usize>(
+        &self,
+        block: &[PackedSensitivity<D>],
+        columns: &mut [Lanes],
+        blocks: usize,
+    ) {
+        for (node, range) in self.start.windows(2).enumerate() {
+            let mut sums = Vector::<W, D>::zero();
+            let range = range[0]..range[1];
+            for (&slot, row) in self.slots[range.clone()].iter().zip(&self.rows[range]) {
+                let change = &block[slot as usize];
+                let mut fade = W::load(&change.density) * row.lane(2 * D);
+                for axis in 0..D {
+                    fade += W::load(&change.position[axis]) * row.lane(axis);
+                }
+                for axis in 0..D {
+                    let moved = W::load(&change.velocity[axis]) * row.lane(2 * D + 1);
+                    sums[axis] += moved - fade * row.lane(D + axis);
+                }
+            }
+            for axis in 0..D {
+                columns[(node * D + axis) * blocks] = sums[axis].store();
+            }
+        }
     }
 }
 
-/// Adds what eight particles give to the derivatives by one block of parameters.
-#[inline(always)]
-fn add_columns<W: Wide, const D: usize>(
-    factors: &Factors<D>,
-    (block, slots): (&[PackedSensitivity<D>], &[u32; WIDTH]),
-    columns: &mut [Lanes],
-) {
-    let mut sums = Vector::<W, D>::zero();
-    for axis in 0..D {
-        sums[axis] = W::load(&columns[axis]);
-    }
-    for (lane, &slot) in slots.iter().enumerate() {
-        // Nobody comes last.
-        let Some(change) = block.get(slot as usize) else { break };
-        let mut fade = W::load(&change.density) * factors.by_density.lane(lane);
-        for axis in 0..D {
-            fade += W::load(&change.position[axis]) * factors.by_position[axis].lane(lane);
-        }
-        for axis in 0..D {
-            let moved = W::load(&change.velocity[axis]) * factors.weight.lane(lane);
-            sums[axis] += moved - fade * factors.velocity[axis].lane(lane);
-        }
-    }
-    for axis in 0..D {
-        columns[axis] = sums[axis].store();
-    }
-}
+/// Nodes whose givers are held at once: they, and one block's sensitivities of everyone near, stay in the
+/// cache.
+const NODES: usize = 64;
 
 /// The loss at consecutive nodes, with its derivatives by the parameters.
 struct LossPass<'a, K, const D: usize> {
@@ -187,18 +221,24 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
     #[inline(always)]
     fn run<W: Wide>(self) -> SquareSum {
         let Self { search, mesh, blocks, first, truth, weight } = self;
-        let (mut sum, mut panel) = (SquareSum::new(blocks.len()), Panel::default());
-        let mut columns = vec![Lanes::ZERO; blocks.len() * D];
-        let mut near = Chunk::default();
-        for (k, expected) in truth.iter().enumerate() {
-            let (x, room) = (mesh.node(first + k), (&mut columns[..], &mut near));
-            let difference = search.velocity_tangent::<W>(x, blocks, room) - *expected;
-            for axis in 0..D {
-                let columns = |b: usize| columns[b * D + axis];
-                panel.add::<W>((weight, difference[axis]), columns, &mut sum);
+        let count = blocks.len();
+        let mut sum = SquareSum::new(count);
+        let mut columns = vec![Lanes::ZERO; NODES * D * count];
+        let (mut near, mut givers, mut residuals) =
+            (Chunk::default(), Givers::default(), Vec::new());
+        for (group, truth) in truth.chunks(NODES).enumerate() {
+            givers.clear();
+            residuals.clear();
+            for (k, expected) in truth.iter().enumerate() {
+                let x = mesh.node(first + group * NODES + k);
+                let difference = search.velocity::<W>(x, &mut near, &mut givers) - *expected;
+                residuals.extend_from_slice(&difference.0);
             }
+            for (b, block) in blocks.iter().enumerate() {
+                givers.differentiate::<W::Double, D>(block, &mut columns[b..], count);
+            }
+            sum.add_rows::<W>(weight, &residuals, &columns);
         }
-        panel.finish::<W>(&mut sum);
         sum
     }
 }

@@ -102,25 +102,42 @@ impl SquareSum {
         }
     }
 
-    /// Adds the matrix of as many residuals as there are `weights`; `columns` holds the blocks of each.
+    /// Adds many residuals of one weight; `columns` holds the blocks of each, one residual after another, and
+    /// may hold more.
     #[inline(always)]
-    fn add_normal<W: Wide>(&mut self, weights: &[f64], columns: &[Lanes]) {
+    pub(crate) fn add_rows<W: Wide>(&mut self, weight: f64, residuals: &[f64], columns: &[Lanes]) {
+        let blocks = self.half_gradient.len();
+        for (&residual, row) in residuals.iter().zip(columns.chunks_exact(blocks)) {
+            self.value += weight * residual * residual;
+            for (half, column) in self.half_gradient.iter_mut().zip(row) {
+                *half = (W::load(half) + W::load(column) * (weight * residual)).store();
+            }
+        }
+        for rows in columns[..residuals.len() * blocks].chunks(Self::PANEL * blocks) {
+            self.add_normal::<W>(weight, rows);
+        }
+    }
+
+    /// Residuals whose share of the matrix is added at once, so that each part of it stays in registers
+    /// meanwhile, and they in the cache.
+    const PANEL: usize = 48;
+
+    /// Adds the matrix of some residuals of one weight.
+    #[inline(always)]
+    fn add_normal<W: Wide>(&mut self, weight: f64, columns: &[Lanes]) {
         let blocks = self.half_gradient.len();
         for b in 0..blocks {
             for other in b..blocks {
-                let place = |lane: usize| (b * WIDTH + lane) * blocks + other;
                 let mut tile = [W::of(0.0); WIDTH];
-                for (lane, tile) in tile.iter_mut().enumerate() {
-                    *tile = W::load(&self.normal[place(lane)]);
-                }
-                for (row, &weight) in columns.chunks_exact(blocks).zip(weights) {
-                    let right = W::load(&row[other]) * weight;
+                for row in columns.chunks_exact(blocks) {
+                    let (left, right) = (&row[b], W::load(&row[other]));
                     for (lane, tile) in tile.iter_mut().enumerate() {
-                        *tile += right * row[b].lane(lane);
+                        *tile += right * left.lane(lane);
                     }
                 }
                 for (lane, tile) in tile.iter().enumerate() {
-                    self.normal[place(lane)] = tile.store();
+                    let sum = &mut self.normal[(b * WIDTH + lane) * blocks + other];
+                    *sum = (W::load(sum) + *tile * weight).store();
                 }
             }
         }
@@ -151,46 +168,6 @@ impl SquareSum {
             self.normal[a * blocks + b / WIDTH].lane(b % WIDTH)
         };
         (0..count).flat_map(|a| (0..count).map(move |b| entry(a, b))).collect()
-    }
-}
-
-/// Residuals whose share of the Gauss–Newton matrix is added many at once, so that each part of the
-/// matrix stays in registers meanwhile.
-#[derive(Debug, Default)]
-pub(crate) struct Panel {
-    weights: Vec<f64>,
-    columns: Vec<Lanes>,
-}
-
-impl Panel {
-    /// Residuals in a panel.
-    const ROWS: usize = 48;
-
-    /// Adds one residual to a sum, whose derivative by the parameters of block `b` is `columns(b)`; the
-    /// matrix is not complete before [`Self::finish`].
-    #[inline(always)]
-    pub(crate) fn add<W: Wide>(
-        &mut self,
-        (weight, residual): (f64, f64),
-        columns: impl Fn(usize) -> Lanes,
-        sum: &mut SquareSum,
-    ) {
-        sum.add_gradient(weight, residual, &columns);
-        for b in 0..sum.half_gradient.len() {
-            self.columns.push(columns(b));
-        }
-        self.weights.push(weight);
-        if self.weights.len() == Self::ROWS {
-            self.finish::<W>(sum);
-        }
-    }
-
-    /// Adds to the matrix what is still missing.
-    #[inline(always)]
-    pub(crate) fn finish<W: Wide>(&mut self, sum: &mut SquareSum) {
-        sum.add_normal::<W>(&self.weights, &self.columns);
-        self.weights.clear();
-        self.columns.clear();
     }
 }
 
@@ -247,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panel_adds_what_its_residuals_add_one_by_one() {
+    fn many_residuals_add_what_each_adds_alone() {
         const BLOCKS: usize = 3;
         let column = |k: usize, b: usize| {
             let mut lanes = Lanes::ZERO;
@@ -255,13 +232,13 @@ mod tests {
             lanes
         };
         let (mut one, mut many) = (SquareSum::new(BLOCKS), SquareSum::new(BLOCKS));
-        let mut panel = Panel::default();
-        for k in 0..2 * Panel::ROWS + 5 {
-            let (weight, residual) = (1.0 / (1.0 + k as f64), 0.3 * k as f64 - 2.0);
-            one.add(weight, residual, |b| column(k, b));
-            panel.add::<Lanes>((weight, residual), |b| column(k, b), &mut many);
+        let rows = 2 * SquareSum::PANEL + 5;
+        let residuals: Vec<f64> = (0..rows).map(|k| 0.3 * k as f64 - 2.0).collect();
+        for (k, &residual) in residuals.iter().enumerate() {
+            one.add(0.7, residual, |b| column(k, b));
         }
-        panel.finish::<Lanes>(&mut many);
+        let columns = (0..rows + 1).flat_map(|k| (0..BLOCKS).map(move |b| column(k, b)));
+        many.add_rows::<Lanes>(0.7, &residuals, &columns.collect::<Vec<_>>());
         let count = BLOCKS * WIDTH;
         assert_eq!((one.value, one.gradient(count)), (many.value, many.gradient(count)));
         let (one, many) = (one.normal(count), many.normal(count));

@@ -95,19 +95,21 @@ mod parameter;
 mod room;
 mod scales;
 mod slope;
+mod tangent;
 mod window;
 
 pub use medium::{Medium, Strength};
 pub use parameter::{Parameter, Parameters};
 pub use room::{Learned, Room};
 pub use scales::Scales;
-pub use slope::{CentralSlope, Change, MatrixSlope, PairCotangent, Slope, StoredSlope};
-use slope::{load_directions, load_vector, store_vector};
+pub use slope::{CentralSlope, Change, MatrixSlope, PairCotangent, Slope};
+use slope::{load_vector, store_vector};
+pub use tangent::{CentralRows, EightPairs, Form, MatrixRows, OwnSlope, PairRows, Slopes};
 pub use window::Window;
 
 use crate::error::{Error, Result};
 use crate::kernel::{KernelName, Smoothing};
-use crate::packed::{PackedAdjoint, PackedSensitivity};
+use crate::packed::PackedAdjoint;
 use crate::pairs::{Batch, Hood};
 use crate::scalar::{Lanes, Wide};
 use crate::sensitivity::Coupling;
@@ -356,14 +358,10 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     ) -> PairCotangent<W, D>;
 }
 
-/// What a force evaluation's tangent needs beside the particles: one block of eight columns.
+/// Which derivatives of a force are kept.
 #[derive(Clone, Copy, Debug)]
-pub struct Columns<'a, const D: usize> {
-    /// Sensitivities per slot.
-    pub sensitivities: &'a [PackedSensitivity<D>],
-    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
-    pub directions: &'a [Lanes; Parameter::COUNT],
-    /// Which derivatives are kept.
+pub struct Kept<'a> {
+    /// All, or particle `i`'s own.
     pub coupling: Coupling,
     /// `∂A/∂ρ` per slot.
     pub stress_slopes: &'a [f64],
@@ -412,14 +410,8 @@ pub trait Model<const D: usize>: Constitutive<D> {
     /// `aᵢ` of every particle of a chunk.
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
 
-    /// `δaᵢ` at fixed weights, for every block of columns; added to the block's own in `out`.
-    fn tangents(
-        &self,
-        hood: Hood<'_>,
-        columns: &[Columns<'_, D>],
-        room: &mut Room,
-        out: &mut [&mut [Vector<Lanes, D>]],
-    );
+    /// `∂aᵢ` at fixed weights by what every particle of a chunk and its neighbours bring; overwrites `into`.
+    fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes);
 
     /// Whether the force itself (not only the stress) depends on the network.
     fn has_force_network(&self) -> bool;

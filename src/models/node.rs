@@ -2,15 +2,14 @@
 
 use super::scales::Units;
 use super::{
-    Change, Columns, Constitutive, Learned, MatrixSlope, Medium, Model, PairShare, Passed, Room,
-    Scales, StoredSlope, Window, load_directions, load_vector, store_vector,
+    Constitutive, Form, Kept, Learned, MatrixRows, Medium, Model, PairShare,
+    Passed, Room, Scales, Slopes, Window,
 };
 use crate::error::{Error, Result};
 use crate::network::Network;
 use crate::packed::PackedAdjoint;
 use crate::pairs::Hood;
 use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
-use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -170,20 +169,25 @@ impl<const D: usize> Node<D> {
         picked
     }
 
-    /// The slope of particle `k` by its neighbour of a rank, in lane 0, after `network.jacobian`.
+    /// The slope by a neighbour of a rank, after `network.jacobian`.
     #[inline(always)]
-    fn slope(&self, feature: &Feature<D>, (rank, lane): (usize, usize), room: &Room) -> MatrixSlope<Lanes, D> {
+    fn slope(
+        &self,
+        feature: &Feature<D>,
+        (rank, lane): (usize, usize),
+        room: &Room,
+    ) -> [Lanes; D] {
         let inputs = 2 * D * self.nearest;
-        let mut slope = MatrixSlope::<Lanes, D>::zero();
-        for a in 0..D {
+        let mut rows = [Lanes::ZERO; D];
+        for (a, slopes) in rows.iter_mut().enumerate() {
             let row = &room.jacobian[a * inputs..(a + 1) * inputs];
             let [by_r, by_v] = self.through(feature, self.pick(row, rank, lane));
             for b in 0..D {
-                slope.by_separation[a][b].set_lane(0, by_r[b] * self.units.force);
-                slope.by_velocity[a][b].set_lane(0, by_v[b] * self.units.force);
+                slopes.set_lane(b, by_r[b] * self.units.force);
+                slopes.set_lane(D + b, by_v[b] * self.units.force);
             }
         }
-        slope
+        rows
     }
 }
 
@@ -204,14 +208,14 @@ impl<const D: usize> Model<D> for Node<D> {
         dispatch(ForcePass { model: self, hood, room, out });
     }
 
-    fn tangents(
+    fn slopes(
         &self,
         hood: Hood<'_>,
-        columns: &[Columns<'_, D>],
+        kept: Kept<'_>,
         room: &mut Room,
-        out: &mut [&mut [Vector<Lanes, D>]],
+        into: &mut Slopes,
     ) {
-        dispatch(TangentPass { model: self, hood, columns, room, out });
+        dispatch(SlopePass { model: self, hood, kept, room, into });
     }
 
     fn has_force_network(&self) -> bool {
@@ -261,63 +265,39 @@ impl<const D: usize> Pass for ForcePass<'_, D> {
     }
 }
 
-struct TangentPass<'a, 'b, const D: usize> {
+struct SlopePass<'a, const D: usize> {
     model: &'a Node<D>,
     hood: Hood<'a>,
-    columns: &'a [Columns<'a, D>],
+    kept: Kept<'a>,
     room: &'a mut Room,
-    out: &'a mut [&'b mut [Vector<Lanes, D>]],
+    into: &'a mut Slopes,
 }
 
-impl<const D: usize> Pass for TangentPass<'_, '_, D> {
+impl<const D: usize> Pass for SlopePass<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { model, hood, columns, room, out } = self;
-        let mut slopes = Vec::new();
+        let Self { model, hood, kept, room, into } = self;
+        into.clear(Form::Matrix);
         for first in (0..hood.chunk.len()).step_by(WIDTH) {
             model.evaluate(hood, first, room);
             model.network.jacobian(room);
             for lane in 0..(hood.chunk.len() - first).min(WIDTH) {
                 let k = first + lane;
-                slopes.clear();
                 for rank in 0..model.nearest {
                     let place = room.nearest[lane * model.nearest + rank];
                     if place == MISSING {
                         break;
                     }
                     let feature = model.feature(hood, k, place);
-                    let other = hood.chunk.slot(place as usize);
-                    slopes.push((other, model.slope(&feature, (rank, lane), room)));
+                    let rows = model.slope(&feature, (rank, lane), room);
+                    into.push_one(hood.chunk.slot(place as usize) as u32, &rows);
                 }
-                for (columns, out) in columns.iter().zip(&mut *out) {
-                    let slot = hood.chunk.first + k;
-                    out[k] = add_tangents::<W, D>((slot, &slopes), columns, &out[k]);
-                }
+                into.close::<W, MatrixRows, D>(kept, |_| 0.0);
             }
         }
     }
-}
-
-/// `δaᵢ` of one particle and one block, added to what it is so far.
-#[inline(always)]
-fn add_tangents<W: Wide, const D: usize>(
-    (slot, slopes): (usize, &[(usize, MatrixSlope<Lanes, D>)]),
-    columns: &Columns<'_, D>,
-    so_far: &Vector<Lanes, D>,
-) -> Vector<Lanes, D> {
-    let directions = load_directions::<W>(columns.directions);
-    let own = Change::load(&columns.sensitivities[slot]);
-    let mut sum = load_vector::<W, D>(so_far);
-    for (other, slope) in slopes {
-        let other = match columns.coupling {
-            Coupling::Full => Change::load(&columns.sensitivities[*other]),
-            Coupling::Local => Change::zero(),
-        };
-        sum += slope.tangent(0, &own, &other, &directions);
-    }
-    store_vector(&sum)
 }
 
 struct WeightPass<'a, const D: usize> {

@@ -1,13 +1,13 @@
 //! The loops over pairs that every [`PairLaw`] shares: value, tangent, pullback.
 
+use super::tangent::MOST_ROWS;
 use super::{
-    Change, Columns, Learned, Model, PairCotangent, PairLaw, PairShare, Parameter, Passed, Room,
-    Slope, StoredSlope, load_directions, load_vector, store_vector,
+    Kept, Learned, Medium, Model, PairCotangent, PairLaw, PairRows, PairShare, Passed, Room, Slope,
+    Slopes, store_vector,
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
-use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
@@ -19,14 +19,8 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         dispatch_in(hood.lines.precision, ForcePass { law: self, hood, room, out });
     }
 
-    fn tangents(
-        &self,
-        hood: Hood<'_>,
-        columns: &[Columns<'_, D>],
-        room: &mut Room,
-        out: &mut [&mut [Vector<Lanes, D>]],
-    ) {
-        dispatch_in(hood.lines.precision, TangentPass { law: self, hood, columns, room, out });
+    fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes) {
+        dispatch_in(hood.lines.precision, SlopePass { law: self, hood, kept, room, into });
     }
 
     fn has_force_network(&self) -> bool {
@@ -93,107 +87,36 @@ fn widen<W: Wide, const D: usize>(vector: Vector<W, D>) -> Vector<W::Double, D> 
     wide
 }
 
-/// `δaᵢ = Σⱼ δfᵢⱼ` over one chunk of particles and all blocks of parameters: the slopes of a particle's
-/// pairs are found eight at a time, then serve the eight parameters of each block at once.
-struct TangentPass<'a, 'b, L, const D: usize> {
+/// The slopes of one chunk's pairs, found eight at a time, and their sums.
+struct SlopePass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
-    columns: &'a [Columns<'a, D>],
+    kept: Kept<'a>,
     room: &'a mut Room,
-    out: &'a mut [&'b mut [Vector<Lanes, D>]],
+    into: &'a mut Slopes,
 }
 
-/// Particles whose slopes are held at once: they, and one block's sensitivities of everyone near, stay in
-/// the cache.
-const GROUP: usize = 64;
-
-/// Eight pairs of a particle with their slopes.
-struct Sloped<'a, S> {
-    slots: &'a [u32; WIDTH],
-    slope: S,
-}
-
-impl<L: PairLaw<D>, const D: usize> Pass for TangentPass<'_, '_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, columns, room, out } = self;
-        let mut pairs = Vec::new();
-        for first in (0..chunk.len()).step_by(GROUP) {
-            let group = first..(first + GROUP).min(chunk.len());
-            pairs.clear();
-            for k in group.clone() {
-                let (slot, space) = (chunk.first + k, chunk.around(k, space));
-                for slots in chunk.neighbours(k) {
-                    let batch = Batch::<W, D>::read(lines, slot, slots, space);
-                    pairs.push(Sloped { slots, slope: law.slope(&batch, room).store() });
-                }
+        let Self { law, hood: Hood { lines, chunk, space }, kept, room, into } = self;
+        into.clear(<L::Slope<W> as Slope<W, D>>::Rows::FORM);
+        let Medium { smoothing, mass, .. } = law.medium();
+        let nobody = lines.double.len() - 1;
+        let mut pairs = [[Lanes::ZERO; MOST_ROWS]; WIDTH];
+        for k in 0..chunk.len() {
+            let (slot, space) = (chunk.first + k, chunk.around(k, space));
+            for slots in chunk.neighbours(k) {
+                let batch = Batch::<W, D>::read(lines, slot, slots, space);
+                let sizes = law.slope(&batch, room).write(&mut pairs);
+                into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(slots, (sizes, nobody), &pairs);
             }
-            for (columns, out) in columns.iter().zip(&mut *out) {
-                let directions = load_directions::<W::Double>(columns.directions);
-                let mut rest = &pairs[..];
-                for k in group.clone() {
-                    let (own, others) = rest.split_at(chunk.neighbours(k).len());
-                    rest = others;
-                    let there = |batch: &Sloped<'_, _>, lane: usize| {
-                        let (slot, space) = (chunk.first + k, chunk.around(k, space));
-                        Batch::<W, D>::read(lines, slot, batch.slots, space).lane(lane)
-                    };
-                    let mut sum = load_vector::<W::Double, D>(&out[k]);
-                    let here = Change::load(&columns.sensitivities[chunk.first + k]);
-                    for batch in own {
-                        add_tangents((law, there), batch, columns, (&here, &directions), &mut sum);
-                    }
-                    out[k] = store_vector(&sum);
-                }
-            }
+            let pull = |r: f64| smoothing.gradient(r) * *mass;
+            into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, pull);
         }
     }
-}
-
-/// Adds what eight pairs give to `δaᵢ` for one block.
-#[inline(always)]
-fn add_tangents<L: PairLaw<D>, W: Wide, S: StoredSlope<D>, const D: usize>(
-    (law, there): (&L, impl Fn(&Sloped<'_, S>, usize) -> (f64, Vector<f64, D>)),
-    batch: &Sloped<'_, S>,
-    columns: &Columns<'_, D>,
-    (own, directions): (&Change<W, D>, &[W; Parameter::COUNT]),
-    sum: &mut Vector<W, D>,
-) {
-    for (lane, &j) in batch.slots.iter().enumerate() {
-        let Some(other) = columns.sensitivities.get(j as usize) else { break };
-        if batch.slope.is_zero(lane) {
-            continue;
-        }
-        let other = match columns.coupling {
-            Coupling::Full => Change::load(other),
-            Coupling::Local => {
-                let by_density = columns.stress_slopes[j as usize];
-                let pair = there(batch, lane);
-                alone(law, pair, (own, &Change::load(other), by_density))
-            }
-        };
-        *sum += batch.slope.tangent(lane, own, &other, directions);
-    }
-}
-
-/// A neighbour whose own sensitivities are dropped: of `δρⱼ` only what particle `i` itself gives
-/// remains, of `δAⱼ` that and the explicit dependence on the parameters.
-#[inline(always)]
-fn alone<L: PairLaw<D>, W: Wide, const D: usize>(
-    law: &L,
-    (r2, separation): (f64, Vector<f64, D>),
-    (own, other, by_density): (&Change<W, D>, &Change<W, D>, f64),
-) -> Change<W, D> {
-    let medium = law.medium();
-    let pull = medium.smoothing.gradient(r2.sqrt()) * medium.mass;
-    let mut given = W::of(0.0);
-    for axis in 0..D {
-        given += own.position[axis] * (separation[axis] * pull);
-    }
-    let explicit = other.stress - other.density * by_density;
-    Change { density: given, stress: explicit + given * by_density, ..Change::zero() }
 }
 
 /// `∂aᵢ/∂weights` over one chunk: the pullback of each component in turn.

@@ -1,41 +1,23 @@
 //! The linearised pair force: applied to columns of parameters forwards, transposed backwards.
 
-use super::{Parameter, Strength};
+use super::Strength;
+use super::tangent::{CentralRows, EightPairs, MatrixRows, PairRows};
 use crate::packed::PackedSensitivity;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{Lanes, WIDTH, Wide, transposed};
 use crate::vector::Vector;
 
 /// The derivative of the forces of eight pairs by the states of their particles.
 pub trait Slope<W: Wide, const D: usize> {
-    /// The same in memory, where one pair after another can be taken out.
-    type Stored: StoredSlope<D>;
+    /// How each of the pairs stands in memory.
+    type Rows: PairRows<D>;
 
-    /// Puts it there.
-    fn store(&self) -> Self::Stored;
+    /// Puts the pairs there, one after another, and says of each how large its numbers are together: zero
+    /// of a pair that adds nothing, as one beyond the support.
+    fn write(&self, pairs: &mut EightPairs) -> Lanes;
 
     /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by what they depend on.
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D>;
-}
-
-/// A [`Slope`] in memory.
-pub trait StoredSlope<const D: usize> {
-    /// Whether the pair in `lane` is known to add nothing, as one beyond the support.
-    #[inline(always)]
-    fn is_zero(&self, lane: usize) -> bool {
-        let _ = lane;
-        false
-    }
-
-    /// `δfᵢⱼ` of the pair in `lane` for eight parameters at once, from the changes of both particles
-    /// and, at fixed stress, of the physical parameters.
-    fn tangent<W: Wide>(
-        &self,
-        lane: usize,
-        own: &Change<W, D>,
-        other: &Change<W, D>,
-        directions: &[W; Parameter::COUNT],
-    ) -> Vector<W, D>;
 }
 
 /// The sensitivities of a particle to eight parameters, in registers.
@@ -147,18 +129,6 @@ pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) ->
     vector
 }
 
-/// What eight parameters mean to the physical ones, from memory.
-#[inline(always)]
-pub(super) fn load_directions<W: Wide>(
-    stored: &[Lanes; Parameter::COUNT],
-) -> [W; Parameter::COUNT] {
-    let mut directions = [W::of(0.0); Parameter::COUNT];
-    for (direction, stored) in directions.iter_mut().zip(stored) {
-        *direction = W::load(stored);
-    }
-    directions
-}
-
 /// Every component to memory.
 #[inline(always)]
 pub(super) fn store_vector<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<Lanes, D> {
@@ -170,21 +140,32 @@ pub(super) fn store_vector<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Ve
 }
 
 impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
-    type Stored = CentralSlope<Lanes, D>;
+    type Rows = CentralRows;
 
     #[inline(always)]
-    fn store(&self) -> CentralSlope<Lanes, D> {
-        let [by_i, by_j] = self.by_stress;
-        let [by_c, by_alpha, by_beta] = self.by_parameter;
-        CentralSlope {
-            separation: store_vector(&self.separation),
-            value: self.value.store(),
-            by_separation: store_vector(&self.by_separation),
-            by_velocity: store_vector(&self.by_velocity),
-            by_stress: [by_i.store(), by_j.store()],
-            by_density: self.by_density.store(),
-            by_parameter: [by_c.store(), by_alpha.store(), by_beta.store()],
+    fn write(&self, pairs: &mut EightPairs) -> Lanes {
+        let (mut by_state, mut others) = ([Lanes::ZERO; WIDTH], [Lanes::ZERO; WIDTH]);
+        let mut size = self.value.abs() + self.by_density.abs();
+        for axis in 0..D {
+            by_state[axis] = self.by_separation[axis].store();
+            by_state[D + axis] = self.by_velocity[axis].store();
+            others[axis] = self.separation[axis].store();
+            size += self.by_separation[axis].abs() + self.by_velocity[axis].abs();
         }
+        by_state[2 * D] = self.by_density.store();
+        by_state[2 * D + 1] = self.by_stress[0].store();
+        others[D] = self.value.store();
+        others[D + 1] = self.by_stress[1].store();
+        size += self.by_stress[0].abs() + self.by_stress[1].abs();
+        for k in 0..3 {
+            others[D + 2 + k] = self.by_parameter[k].store();
+            size += self.by_parameter[k].abs();
+        }
+        let (by_state, others) = (transposed::<W>(&by_state), transposed::<W>(&others));
+        for (pair, (by_state, others)) in pairs.iter_mut().zip(by_state.iter().zip(others)) {
+            (pair[0], pair[1]) = (by_state.store(), others.store());
+        }
+        size.store()
     }
 
     #[inline(always)]
@@ -199,52 +180,6 @@ impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
             density: [self.by_density * along; 2],
             parameters: [by_c * along, by_alpha * along, by_beta * along],
         }
-    }
-}
-
-impl<const D: usize> StoredSlope<D> for CentralSlope<Lanes, D> {
-    #[inline(always)]
-    fn is_zero(&self, lane: usize) -> bool {
-        if self.value.lane(lane) != 0.0 {
-            return false;
-        }
-        let mut size = self.by_density.lane(lane).abs();
-        for axis in 0..D {
-            size += self.by_separation[axis].lane(lane).abs();
-            size += self.by_velocity[axis].lane(lane).abs();
-        }
-        for by in self.by_stress.iter().chain(&self.by_parameter) {
-            size += by.lane(lane).abs();
-        }
-        size == 0.0
-    }
-
-    #[inline(always)]
-    fn tangent<W: Wide>(
-        &self,
-        lane: usize,
-        own: &Change<W, D>,
-        other: &Change<W, D>,
-        directions: &[W; Parameter::COUNT],
-    ) -> Vector<W, D> {
-        let apart = own.position - other.position;
-        let moving = own.velocity - other.velocity;
-        let mut ds = (own.density + other.density) * self.by_density.lane(lane);
-        ds += own.stress * self.by_stress[0].lane(lane);
-        ds += other.stress * self.by_stress[1].lane(lane);
-        for axis in 0..D {
-            ds += apart[axis] * self.by_separation[axis].lane(lane);
-            ds += moving[axis] * self.by_velocity[axis].lane(lane);
-        }
-        for (direction, by) in directions.iter().zip(&self.by_parameter) {
-            ds += *direction * by.lane(lane);
-        }
-        let mut force = apart;
-        for axis in 0..D {
-            force[axis] =
-                apart[axis] * self.value.lane(lane) + ds * self.separation[axis].lane(lane);
-        }
-        force
     }
 }
 
@@ -267,16 +202,24 @@ impl<W: Wide, const D: usize> MatrixSlope<W, D> {
 }
 
 impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
-    type Stored = MatrixSlope<Lanes, D>;
+    type Rows = MatrixRows;
 
     #[inline(always)]
-    fn store(&self) -> MatrixSlope<Lanes, D> {
-        let mut stored = MatrixSlope::zero();
+    fn write(&self, pairs: &mut EightPairs) -> Lanes {
+        let mut size = W::of(0.0);
         for a in 0..D {
-            stored.by_separation[a] = store_vector(&self.by_separation[a]);
-            stored.by_velocity[a] = store_vector(&self.by_velocity[a]);
+            let mut columns = [Lanes::ZERO; WIDTH];
+            for b in 0..D {
+                columns[b] = self.by_separation[a][b].store();
+                columns[D + b] = self.by_velocity[a][b].store();
+                size += self.by_separation[a][b].abs() + self.by_velocity[a][b].abs();
+            }
+            let rows = transposed::<W>(&columns);
+            for (pair, row) in pairs.iter_mut().zip(rows) {
+                pair[a] = row.store();
+            }
         }
-        stored
+        size.store()
     }
 
     #[inline(always)]
@@ -287,27 +230,5 @@ impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
             cotangent.velocity += self.by_velocity[a] * force[a];
         }
         cotangent
-    }
-}
-
-impl<const D: usize> StoredSlope<D> for MatrixSlope<Lanes, D> {
-    #[inline(always)]
-    fn tangent<W: Wide>(
-        &self,
-        lane: usize,
-        own: &Change<W, D>,
-        other: &Change<W, D>,
-        _: &[W; Parameter::COUNT],
-    ) -> Vector<W, D> {
-        let apart = own.position - other.position;
-        let moving = own.velocity - other.velocity;
-        let mut force = Vector::zero();
-        for a in 0..D {
-            for b in 0..D {
-                force[a] += apart[b] * self.by_separation[a][b].lane(lane);
-                force[a] += moving[b] * self.by_velocity[a][b].lane(lane);
-            }
-        }
-        force
     }
 }

@@ -27,7 +27,8 @@ impl Lanes {
     }
 
     /// One in lane `lane`, zero elsewhere.
-    pub fn unit(lane: usize) -> Self {
+    #[inline(always)]
+    pub const fn unit(lane: usize) -> Self {
         let mut lanes = [0.0; WIDTH];
         lanes[lane] = 1.0;
         Self(lanes)

@@ -17,7 +17,9 @@ mod x86;
 pub use dual::Dual;
 pub use lanes::{Lanes, WIDTH};
 pub use singles::Singles;
-pub use wide::{Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set};
+pub use wide::{
+    Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set, transposed,
+};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
@@ -155,5 +157,31 @@ mod tests {
     #[test]
     fn not_a_number_is_never_selected_by_comparison() {
         assert_eq!(f64::select_less(f64::NAN, 0.0, 1.0, 2.0).to_bits(), 2.0_f64.to_bits());
+    }
+
+    /// Sixty-four numbers as rows, from the same as columns.
+    #[derive(Clone)]
+    struct Rows([Lanes; WIDTH]);
+
+    impl Pass for Rows {
+        type Output = Vec<[f64; WIDTH]>;
+
+        #[inline(always)]
+        fn run<W: Wide>(self) -> Self::Output {
+            transposed::<W>(&self.0).iter().map(|row| row.store().to_array()).collect()
+        }
+    }
+
+    #[test]
+    fn columns_become_rows_on_every_instruction_set() {
+        let number = |row: usize, column: usize| (10 * row + column) as f64;
+        let columns =
+            Rows(std::array::from_fn(|c| Lanes::new(std::array::from_fn(|r| number(r, c)))));
+        for (name, rows) in on_every_instruction_set(Precision::Double, &columns) {
+            for (r, row) in rows.iter().enumerate() {
+                let expected: [f64; WIDTH] = std::array::from_fn(|c| number(r, c));
+                assert_eq!(row.map(f64::to_bits), expected.map(f64::to_bits), "{name}");
+            }
+        }
     }
 }

@@ -236,6 +236,29 @@ impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
     }
 }
 
+/// Eight columns of eight numbers as eight rows.
+#[inline(always)]
+pub fn transposed<W: Wide>(columns: &[Lanes; WIDTH]) -> [W::Double; WIDTH] {
+    let [a, b, c, d, e, f, g, h] = columns;
+    W::fields([
+        &line_of(a),
+        &line_of(b),
+        &line_of(c),
+        &line_of(d),
+        &line_of(e),
+        &line_of(f),
+        &line_of(g),
+        &line_of(h),
+    ])
+}
+
+/// Eight numbers in the place of a particle's.
+#[inline(always)]
+fn line_of(numbers: &Lanes) -> Packed {
+    let [x, y, z, u, v, w, density, stress] = numbers.to_array();
+    Packed { position: [x, y, z], velocity: [u, v, w], density, stress }
+}
+
 /// A [`Packed`] reading from its eight fields, for implementations in doubles.
 #[inline(always)]
 pub(super) fn reading_of<W: Wide, const D: usize>(

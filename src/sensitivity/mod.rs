@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// | way | cost in forward runs | recommended |
 /// |---|---|---|
-/// | `forward` | 4 to 9 for the first eight parameters, 2 to 5 more for eight more | for Levenberg–Marquardt, which needs the residual derivatives that it alone gives |
+/// | `forward` | 6 to 10 for the first eight parameters, 0.5 to 5 more for eight more | for Levenberg–Marquardt, which needs the residual derivatives that it alone gives |
 /// | `adjoint` | about 4, for any number of parameters | for everything else; memory for the way back |
 /// | `auto` | `adjoint`, and `forward` where only that will do | default |
 ///
@@ -39,9 +39,12 @@ pub enum Gradient {
 }
 
 impl Gradient {
-    /// The way taken: the adjoint, which was cheaper for every model at every number of parameters
-    /// measured, unless something only `forward` has is needed: the derivatives of every residual, or
-    /// local coupling.
+    /// The way taken: the adjoint, whatever the number of parameters, unless something only `forward` has is
+    /// needed: the derivatives of every residual, or local coupling.
+    ///
+    /// There is no number of parameters below which `forward` is cheaper: its first block costs 1.4 to 2.6
+    /// adjoints by all parameters, since the pairs are linearised and a network's weights differentiated for
+    /// one block as for twenty. `cargo bench --bench gradients` prints where the two cross.
     pub fn choose(self, needs_forward: bool) -> Self {
         match self {
             Self::Auto if needs_forward => Self::Forward,

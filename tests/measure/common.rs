@@ -28,6 +28,9 @@ pub(crate) struct Arguments {
     /// Particles along a side, one after another; of `gradients`.
     #[arg(long, value_delimiter = ',', default_value = "16")]
     pub(crate) sides: Vec<usize>,
+    /// Numbers of parameters that forward mode is measured for, one after another; of `gradients`.
+    #[arg(long, value_delimiter = ',', default_value = "8,16,32,64,100,141")]
+    pub(crate) columns: Vec<usize>,
     /// What pairs are evaluated in, `double` or `mixed`; of `gradients`.
     #[arg(long, value_parser = precision, default_value = "double")]
     pub(crate) precision: Precision,

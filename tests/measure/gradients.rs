@@ -8,6 +8,7 @@ mod common;
 use common::{Arguments, Run, Setting, Took, bytes_of, in_turn, learn};
 use whirls::flow::Differentiation;
 use whirls::models::{ModelChoice, Parameter};
+use whirls::scalar::WIDTH;
 use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
 use whirls::{Flow, Scene};
 
@@ -55,7 +56,7 @@ fn measure(arguments: &Arguments, side: usize) {
         if arguments.model.as_ref().is_some_and(|model| model != kind) {
             continue;
         }
-        let mut contestant = Contestant::new(&setting, kind, arguments.quick || side > 16);
+        let mut contestant = Contestant::new(arguments, &setting, kind, side);
         if arguments.adjoint {
             contestant.columns.clear();
         }
@@ -67,11 +68,15 @@ fn measure(arguments: &Arguments, side: usize) {
         return;
     }
     println!("\nforward mode by number of parameters p, with the normal matrix it serves");
+    println!(
+        "{:8} {:>4}  {:>10} {:>8} {:>8} {:>8}  {:>8}  {:>8}",
+        "model", "p", "run", "", "for each", "for more", "adjoint", "held"
+    );
     tables.iter().for_each(|(contestant, took)| contestant.print_forward_mode(took));
 }
 
 impl Contestant {
-    fn new(setting: &Setting, kind: &'static str, quick: bool) -> Self {
+    fn new(arguments: &Arguments, setting: &Setting, kind: &'static str, side: usize) -> Self {
         let mut scene = setting.scene.clone();
         let learn = learn(&mut scene);
         learn.model = toml::from_str(&format!("kind = '{kind}'")).unwrap();
@@ -81,12 +86,12 @@ impl Contestant {
             0 => Parameter::ALL.to_vec(),
             _ => (0..weights as u32).map(Parameter::Weight).collect(),
         };
-        let mut columns = match (kind, weights) {
-            ("physics", _) => vec![1, 2, 4, 5],
-            ("eos-nn" | "nn-sum", all) => vec![8, 16, 32, all],
-            _ => vec![8, 16, 32],
+        let mut columns: Vec<usize> = match weights {
+            0 => vec![1, 4, 5],
+            all => arguments.columns.iter().map(|&p| p.min(all)).collect(),
         };
-        if quick {
+        columns.dedup();
+        if arguments.quick || side > 16 {
             columns.truncate(2);
         }
         Self { scene, kind, learned, columns }
@@ -148,30 +153,42 @@ impl Contestant {
         );
     }
 
+    /// One line for each number of parameters, with what each parameter more has cost since the line before
+    /// and what the adjoint would cost; then where the adjoint becomes cheaper.
     fn print_forward_mode(&self, took: &[Took]) {
         let (adjoint, forward) = (took[2].ratio, &took[4..]);
-        let rows = self.columns.iter().zip(forward);
-        let cells = rows.map(|(p, took)| {
-            let megabytes = took.bytes as f64 / 1e6;
-            format!("p = {p}: {:.1} ms {:.2}x {megabytes:.0} MB", took.milliseconds, took.ratio)
-        });
-        println!("{:8} {}", self.kind, cells.collect::<Vec<_>>().join(", "));
-        let (first, last) = (0, self.columns.len() - 1);
-        let more = (self.columns[last] - self.columns[first]) as f64;
-        let each = (forward[last].ratio - forward[first].ratio) / more;
-        let until = forward.iter().rposition(|took| took.ratio <= adjoint);
-        let crossover = match until {
-            Some(k) if k == last => {
-                format!("cheaper than the adjoint up to p = {}", self.columns[k])
+        let mut before: Option<(usize, f64)> = None;
+        for (&p, took) in self.columns.iter().zip(forward) {
+            let blocks = p.div_ceil(WIDTH);
+            let more =
+                before.filter(|&(then, _)| then < blocks).map_or(String::new(), |(then, x)| {
+                    format!("{:7.3}x", (took.ratio - x) / ((blocks - then) * WIDTH) as f64)
+                });
+            before = Some((blocks, took.ratio));
+            println!(
+                "{:8} {p:4}  {:7.1} ms {:7.2}x {:7.3}x {more:>8}  {:7.2}x  {:5.0} MB",
+                self.kind,
+                took.milliseconds,
+                took.ratio,
+                took.ratio / p as f64,
+                took.ratio / adjoint,
+                took.bytes as f64 / 1e6,
+            );
+        }
+        let cheaper = forward.iter().rposition(|took| took.ratio <= adjoint);
+        let dearer = forward.iter().position(|took| took.ratio > adjoint);
+        match (cheaper, dearer) {
+            (Some(k), None) => {
+                println!("{:8} cheaper than the adjoint up to p = {}", "", self.columns[k])
             }
-            Some(k) => format!(
-                "cheaper than the adjoint up to p = {}, dearer from p = {}",
-                self.columns[k],
-                self.columns[k + 1]
+            (Some(k), Some(l)) => println!(
+                "{:8} cheaper than the adjoint up to p = {}, dearer from p = {}",
+                "", self.columns[k], self.columns[l]
             ),
-            None => "dearer than the adjoint for any p measured".to_owned(),
-        };
-        println!("         {each:+.4} forward runs for each more parameter; {crossover}");
+            (None, _) => {
+                println!("{:8} dearer than the adjoint for any p measured: no crossover", "")
+            }
+        }
     }
 }
 

@@ -1,0 +1,386 @@
+//! The tangent of the force: a chunk's pairs linearised once, then applied to one block of parameters after
+//! another.
+//!
+//! `δaᵢ = Σⱼ δfᵢⱼ` is linear in what both particles bring, and what particle `i` itself brings comes out of
+//! the sum: an [`OwnSlope`] for each particle. What stays with each pair is what its neighbour brings, and
+//! only pairs that act at all are kept.
+
+use super::{Change, Kept, Parameter, load_vector, store_vector};
+use crate::packed::PackedSensitivity;
+use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
+use crate::sensitivity::Coupling;
+use crate::vector::Vector;
+use std::fmt::Debug;
+
+/// Most rows of a pair.
+pub(super) const MOST_ROWS: usize = 3;
+
+/// Eight pairs one after another, each in the first [`PairRows::ROWS`] of its rows.
+pub type EightPairs = [[Lanes; MOST_ROWS]; WIDTH];
+
+/// How the slope of one pair stands in memory, in rows of eight numbers.
+pub trait PairRows<const D: usize>: Debug {
+    /// Which they are.
+    const FORM: Form;
+    /// Rows of a pair.
+    const ROWS: usize;
+
+    /// Adds to a particle's own slope what one of its pairs gives.
+    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>);
+
+    /// Adds `δfᵢⱼ` as far as it comes from the neighbour, for eight parameters at once.
+    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>);
+
+    /// Where a neighbour's own sensitivities are dropped: of `δρⱼ` only what particle `i` itself gives
+    /// remains, `pull(r) rᵢⱼ·δrᵢ`, of `δAⱼ` that and the explicit dependence on the parameters.
+    fn leave_alone<W: Wide>(
+        rows: &mut [Lanes],
+        by_density: f64,
+        pull: impl Fn(f64) -> f64,
+        own: &mut OwnSlope<W, D>,
+    );
+}
+
+/// A central pair: a row of `∂s/∂(r, v, ρ, A)`, the last of particle `i`, and a row of `rᵢⱼ`, `s`, `∂s/∂Aⱼ`
+/// and `∂s/∂(c, α, β)`.
+#[derive(Debug)]
+pub struct CentralRows;
+
+/// A pair of any direction: for each component a row of its derivatives by `rᵢⱼ` and `vᵢⱼ`.
+#[derive(Debug)]
+pub struct MatrixRows;
+
+/// Lane of `∂/∂ρ` in a row by the state; `∂/∂Aᵢ` is the next.
+const fn of_density(dimension: usize) -> usize {
+    2 * dimension
+}
+
+/// Lane of `∂/∂c` in a row by the parameters; `∂/∂α` and `∂/∂β` follow.
+const fn of_parameters(dimension: usize) -> usize {
+    dimension + 2
+}
+
+/// `∂aᵢ` by what particle `i` itself brings, component by component.
+#[derive(Clone, Copy, Debug)]
+pub struct OwnSlope<W, const D: usize> {
+    /// By `rᵢ`, `vᵢ`, `ρᵢ` and `Aᵢ`, lane after lane.
+    by_state: Vector<W, D>,
+    /// By `c`, `α` and `β` from lane `D + 2` on.
+    by_parameter: Vector<W, D>,
+    /// `Σⱼ s`, which belongs to the diagonal.
+    value: f64,
+}
+
+impl<W: Wide, const D: usize> OwnSlope<W, D> {
+    /// No dependence.
+    #[inline(always)]
+    pub(super) fn zero() -> Self {
+        Self { by_state: Vector::zero(), by_parameter: Vector::zero(), value: 0.0 }
+    }
+
+    /// Puts the sum of the strengths on the diagonal: by whole registers, since numbers taken out of one would
+    /// take the sums apart.
+    #[inline(always)]
+    fn complete(&mut self) {
+        for axis in 0..D {
+            self.by_state[axis] += W::load(&Lanes::unit(axis)) * self.value;
+        }
+    }
+}
+
+impl<const D: usize> OwnSlope<Lanes, D> {
+    /// What particle `i` itself brings to `δaᵢ`, for eight parameters at once.
+    #[inline(always)]
+    fn add_to<W: Wide>(&self, own: &Change<W, D>, sum: &mut Vector<W, D>) {
+        for axis in 0..D {
+            let by = &self.by_state[axis];
+            let mut part = own.density * by.lane(of_density(D));
+            part += own.stress * by.lane(of_density(D) + 1);
+            for b in 0..D {
+                part += own.position[b] * by.lane(b);
+                part += own.velocity[b] * by.lane(D + b);
+            }
+            sum[axis] += part;
+        }
+    }
+
+    /// What the parameters bring by themselves.
+    #[inline(always)]
+    fn add_parameters<W: Wide>(
+        &self,
+        directions: &[Lanes; Parameter::COUNT],
+        sum: &mut Vector<W, D>,
+    ) {
+        for axis in 0..D {
+            for (k, direction) in directions.iter().take(3).enumerate() {
+                let by = self.by_parameter[axis].lane(of_parameters(D) + k);
+                sum[axis] += W::load(direction) * by;
+            }
+        }
+    }
+}
+
+impl<const D: usize> PairRows<D> for CentralRows {
+    const FORM: Form = Form::Central;
+    const ROWS: usize = 2;
+
+    #[inline(always)]
+    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
+        let [by_state, others] = rows else { return };
+        let (state, parameters) = (W::load(by_state), W::load(others));
+        for axis in 0..D {
+            own.by_state[axis] += state * others.lane(axis);
+            own.by_parameter[axis] += parameters * others.lane(axis);
+        }
+        own.value += others.lane(D);
+    }
+
+    #[inline(always)]
+    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+        let [by_state, others] = rows else { return };
+        let mut ds = W::load(&other.density) * by_state.lane(of_density(D));
+        ds += W::load(&other.stress) * others.lane(D + 1);
+        for axis in 0..D {
+            ds -= W::load(&other.position[axis]) * by_state.lane(axis);
+            ds -= W::load(&other.velocity[axis]) * by_state.lane(D + axis);
+        }
+        for axis in 0..D {
+            sum[axis] += ds * others.lane(axis);
+            sum[axis] -= W::load(&other.position[axis]) * others.lane(D);
+        }
+    }
+
+    #[inline(always)]
+    fn leave_alone<W: Wide>(
+        rows: &mut [Lanes],
+        by_density: f64,
+        pull: impl Fn(f64) -> f64,
+        own: &mut OwnSlope<W, D>,
+    ) {
+        let [by_state, others] = rows else { return };
+        let mut separation = Lanes::ZERO;
+        let mut square = 0.0;
+        for axis in 0..D {
+            separation.set_lane(axis, others.lane(axis));
+            square += others.lane(axis) * others.lane(axis);
+        }
+        let by_stress = others.lane(D + 1);
+        let given = (by_state.lane(of_density(D)) + by_stress * by_density) * pull(square.sqrt());
+        for axis in 0..D {
+            own.by_state[axis] += W::load(&separation) * (given * others.lane(axis));
+        }
+        *by_state = Lanes::ZERO;
+        by_state.set_lane(of_density(D), -(by_stress * by_density));
+        others.set_lane(D, 0.0);
+    }
+}
+
+impl<const D: usize> PairRows<D> for MatrixRows {
+    const FORM: Form = Form::Matrix;
+    const ROWS: usize = D;
+
+    #[inline(always)]
+    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
+        for (axis, row) in rows.iter().enumerate().take(D) {
+            own.by_state[axis] += W::load(row);
+        }
+    }
+
+    #[inline(always)]
+    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+        for b in 0..D {
+            let (position, velocity) = (W::load(&other.position[b]), W::load(&other.velocity[b]));
+            for axis in 0..D {
+                sum[axis] -= position * rows[axis].lane(b);
+                sum[axis] -= velocity * rows[axis].lane(D + b);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn leave_alone<W: Wide>(
+        rows: &mut [Lanes],
+        _: f64,
+        _: impl Fn(f64) -> f64,
+        _: &mut OwnSlope<W, D>,
+    ) {
+        rows.fill(Lanes::ZERO);
+    }
+}
+
+/// Which [`PairRows`] a chunk's pairs have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Form {
+    /// [`CentralRows`].
+    #[default]
+    Central,
+    /// [`MatrixRows`].
+    Matrix,
+}
+
+/// The linearised force on some particles: what serves every block of parameters.
+#[derive(Clone, Debug, Default)]
+pub struct Slopes {
+    form: Form,
+    /// Of each particle its [`OwnSlope`]: the rows by the state, then those by the parameters.
+    own: Vec<Lanes>,
+    /// Where each particle's pairs start; one more at the end.
+    start: Vec<u32>,
+    /// The neighbour of each pair that acts.
+    slots: Vec<u32>,
+    /// Its rows.
+    rows: Vec<Lanes>,
+    /// How many pairs there are; what lies behind is anything.
+    filled: usize,
+}
+
+impl Slopes {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of::<Lanes>() * (self.own.capacity() + self.rows.capacity())
+            + 4 * (self.start.capacity() + self.slots.capacity())
+    }
+
+    /// Forgets everything.
+    #[inline(always)]
+    pub(super) fn clear(&mut self, form: Form) {
+        self.form = form;
+        self.own.clear();
+        self.start.clear();
+        self.start.push(0);
+        self.filled = 0;
+    }
+
+    /// Makes room for eight more pairs of so many rows.
+    #[inline(always)]
+    fn make_room(&mut self, rows: usize) {
+        if self.slots.len() < self.filled + WIDTH || self.rows.len() < (self.filled + WIDTH) * rows
+        {
+            let pairs = (self.filled + WIDTH) * 9 / 8;
+            self.slots.resize(pairs, 0);
+            self.rows.resize(pairs * rows, Lanes::ZERO);
+        }
+    }
+
+    /// Adds those of eight pairs that act to the particle that is under way: somebody's, of a size.
+    #[inline(always)]
+    pub(super) fn push<R: PairRows<D>, const D: usize>(
+        &mut self,
+        slots: &[u32; WIDTH],
+        (sizes, nobody): (Lanes, usize),
+        pairs: &EightPairs,
+    ) {
+        self.make_room(R::ROWS);
+        // Without a branch that nobody can predict: those that do not act are overwritten.
+        for (lane, &slot) in slots.iter().enumerate() {
+            self.slots[self.filled] = slot;
+            let rows = &mut self.rows[self.filled * R::ROWS..][..R::ROWS];
+            for (row, found) in rows.iter_mut().zip(&pairs[lane]) {
+                *row = *found;
+            }
+            self.filled += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+        }
+    }
+
+    /// Adds a pair to the particle that is under way.
+    #[inline(always)]
+    pub(super) fn push_one(&mut self, slot: u32, rows: &[Lanes]) {
+        self.make_room(rows.len());
+        self.slots[self.filled] = slot;
+        self.rows[self.filled * rows.len()..][..rows.len()].copy_from_slice(rows);
+        self.filled += 1;
+    }
+
+    /// Ends a particle: `pull` is `m G` at a distance.
+    #[inline(always)]
+    pub(super) fn close<W: Wide, R: PairRows<D>, const D: usize>(
+        &mut self,
+        kept: Kept<'_>,
+        pull: impl Fn(f64) -> f64,
+    ) {
+        let first = self.start.last().map_or(0, |&first| first as usize);
+        let mut own = OwnSlope::<W, D>::zero();
+        let rows = &mut self.rows[first * R::ROWS..self.filled * R::ROWS];
+        for rows in rows.chunks_exact(R::ROWS) {
+            R::add_own(rows, &mut own);
+        }
+        if kept.coupling == Coupling::Local {
+            for (rows, &slot) in rows.chunks_exact_mut(R::ROWS).zip(&self.slots[first..]) {
+                R::leave_alone(rows, kept.stress_slopes[slot as usize], &pull, &mut own);
+            }
+        }
+        own.complete();
+        self.own.extend_from_slice(&store_vector(&own.by_state).0);
+        self.own.extend_from_slice(&store_vector(&own.by_parameter).0);
+        self.start.push(self.filled as u32);
+    }
+
+    /// What the `k`-th particle itself brings.
+    #[inline(always)]
+    fn own<const D: usize>(&self, k: usize) -> OwnSlope<Lanes, D> {
+        let mut own = OwnSlope {
+            by_state: Vector([Lanes::ZERO; D]),
+            by_parameter: Vector([Lanes::ZERO; D]),
+            value: 0.0,
+        };
+        let rows = &self.own[2 * D * k..2 * D * (k + 1)];
+        own.by_state.0.copy_from_slice(&rows[..D]);
+        own.by_parameter.0.copy_from_slice(&rows[D..]);
+        own
+    }
+
+    /// `δa` of these particles, from slot `first` on, for one block of parameters; added to `out`.
+    pub fn add_tangents<const D: usize>(
+        &self,
+        first: usize,
+        sensitivities: &[PackedSensitivity<D>],
+        directions: &[Lanes; Parameter::COUNT],
+        out: &mut [Vector<Lanes, D>],
+    ) {
+        dispatch(BlockPass { slopes: self, first, sensitivities, directions, out });
+    }
+}
+
+/// [`Slopes::add_tangents`].
+struct BlockPass<'a, const D: usize> {
+    slopes: &'a Slopes,
+    first: usize,
+    sensitivities: &'a [PackedSensitivity<D>],
+    directions: &'a [Lanes; Parameter::COUNT],
+    out: &'a mut [Vector<Lanes, D>],
+}
+
+impl<const D: usize> Pass for BlockPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        match self.slopes.form {
+            Form::Central => self.sweep::<W::Double, CentralRows>(),
+            Form::Matrix => self.sweep::<W::Double, MatrixRows>(),
+        }
+    }
+}
+
+impl<const D: usize> BlockPass<'_, D> {
+    #[inline(always)]
+    fn sweep<W: Wide, R: PairRows<D>>(self) {
+        let Self { slopes, first, sensitivities, directions, out } = self;
+        let explicit = directions[..3].iter().any(|direction| *direction != Lanes::ZERO);
+        for (k, out) in out.iter_mut().enumerate() {
+            let mut sum = load_vector::<W, D>(out);
+            let own = slopes.own::<D>(k);
+            own.add_to(&Change::load(&sensitivities[first + k]), &mut sum);
+            if explicit {
+                own.add_parameters(directions, &mut sum);
+            }
+            let pairs = slopes.start[k] as usize..slopes.start[k + 1] as usize;
+            let rows =
+                slopes.rows[pairs.start * R::ROWS..pairs.end * R::ROWS].chunks_exact(R::ROWS);
+            for (&slot, rows) in slopes.slots[pairs].iter().zip(rows) {
+                R::add_other(rows, &sensitivities[slot as usize], &mut sum);
+            }
+            *out = store_vector(&sum);
+        }
+    }
+}
