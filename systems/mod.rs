@@ -24,7 +24,9 @@
 
 pub mod acceleration;
 pub mod density;
+pub mod density_tangent;
 pub mod forcing;
+mod lists;
 pub mod loss;
 mod movement;
 pub mod neighbours;

@@ -73,8 +73,7 @@ impl Movement {
     /// `columns`, both in the order of the cells.
     pub(super) fn tears<const D: usize>(
         &mut self,
-        cells: &Cells<D>,
-        columns: &[Vec<i32>; D],
+        (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
         lines: &[Packed],
         space: PeriodicBox,
         (skin, carried): (f64, f64),

@@ -1,7 +1,7 @@
 //! What a particle is made of, and the cloud in which pairs meet.
 
 use super::acceleration::Senders;
-use super::density::Pulls;
+use super::density_tangent::Pulls;
 use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room, Slopes};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};

@@ -4,7 +4,7 @@ use super::Flow;
 use crate::models::Slopes;
 use crate::scalar::Precision;
 use crate::systems::Program;
-use crate::systems::density::Pulls;
+use crate::systems::density_tangent::Pulls;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
 use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, Identity, SensitivityCloud};

@@ -1,0 +1,219 @@
+//! What the tangent of the density, and of the stress it causes, is made of.
+
+use super::density::densities;
+use crate::models::{Medium, Model, Parameter, Room, StressSlope};
+use crate::packed::{Packed, PackedSensitivity};
+use crate::pairs::{Hood, separation};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
+use crate::sensitivity::Coupling;
+use crate::vector::Vector;
+
+/// What the density tangent of a chunk of particles is made of, for every block of parameters:
+/// `δρᵢ = (Σⱼ m G rᵢⱼ)·δrᵢ − Σⱼ m G rᵢⱼ·δrⱼ`.
+#[derive(Clone, Debug, Default)]
+pub struct Pulls<const D: usize> {
+    /// The first sum.
+    own: Vec<[f64; D]>,
+    /// Where each particle's pairs start; one more at the end.
+    start: Vec<u32>,
+    /// The neighbours within `2h`.
+    slots: Vec<u32>,
+    /// Of each its `m G rᵢⱼ`.
+    pulls: Vec<[f64; D]>,
+    /// How many pairs there are; what lies behind is anything.
+    filled: usize,
+}
+
+impl<const D: usize> Pulls<D> {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of::<[f64; D]>() * (self.own.capacity() + self.pulls.capacity())
+            + 4 * (self.start.capacity() + self.slots.capacity())
+    }
+
+    /// Adds those of eight pairs whose pull has a size, and who are somebody.
+    #[inline(always)]
+    fn push(&mut self, slots: &[u32; WIDTH], (sizes, nobody): (Lanes, usize), pulls: &[Lanes; D]) {
+        let end = self.filled + WIDTH;
+        if self.slots.len() < end {
+            self.slots.resize(end * 9 / 8, 0);
+            self.pulls.resize(end * 9 / 8, [0.0; D]);
+        }
+        let (Some(others), Some(rows)) = (
+            self.slots[self.filled..].first_chunk_mut::<WIDTH>(),
+            self.pulls[self.filled..].first_chunk_mut::<WIDTH>(),
+        ) else {
+            return;
+        };
+        // Without a branch that nobody can predict: those that do not act are overwritten.
+        let mut count = 0;
+        for (lane, &slot) in slots.iter().enumerate() {
+            // No more than the lanes before it.
+            let place = count % WIDTH;
+            others[place] = slot;
+            for axis in 0..D {
+                rows[place][axis] = pulls[axis].lane(lane);
+            }
+            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+        }
+        self.filled += count;
+    }
+}
+
+/// Finds the [`Pulls`] of a chunk.
+pub(super) struct PullsPass<'a, const D: usize> {
+    pub(super) hood: Hood<'a>,
+    pub(super) medium: &'a Medium<D>,
+    pub(super) coupling: Coupling,
+    pub(super) into: &'a mut Pulls<D>,
+}
+
+impl<const D: usize> Pass for PullsPass<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { hood: Hood { lines, chunk, space }, medium, coupling, into } = self;
+        let Medium { smoothing, mass, .. } = medium;
+        into.own.clear();
+        into.filled = 0;
+        into.start.clear();
+        into.start.push(0);
+        let nobody = lines.double.len() - 1;
+        for k in 0..chunk.len() {
+            let space = chunk.around(k, space);
+            let mut sum = Vector::<W::Double, D>::zero();
+            for slots in chunk.neighbours(k) {
+                let r = separation::<W, D>(lines, chunk.first + k, slots, space);
+                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
+                let (sizes, mut pulls) = (pull.store(), [Lanes::ZERO; D]);
+                for axis in 0..D {
+                    let along = (r[axis] * pull).widen();
+                    pulls[axis] = along.store();
+                    sum[axis] += along;
+                }
+                if coupling == Coupling::Full {
+                    into.push(slots, (sizes, nobody), &pulls);
+                }
+            }
+            let mut own = [0.0; D];
+            for axis in 0..D {
+                own[axis] = sum[axis].sum();
+            }
+            into.own.push(own);
+            into.start.push(into.filled as u32);
+        }
+    }
+}
+
+/// `δρ` of one chunk of particles for one block of parameters.
+pub(super) struct DensityTangent<'a, const D: usize> {
+    pub(super) pulls: &'a Pulls<D>,
+    pub(super) first: usize,
+    pub(super) sensitivity: &'a [PackedSensitivity<D>],
+    pub(super) density: &'a mut [Lanes],
+}
+
+impl<const D: usize> Pass for DensityTangent<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { pulls, first, sensitivity, density } = self;
+        for (k, density) in density.iter_mut().enumerate() {
+            let own = &sensitivity[first + k].position;
+            let mut sum = W::Double::of(0.0);
+            for axis in 0..D {
+                sum += W::Double::load(&own[axis]) * pulls.own[k][axis];
+            }
+            let pairs = pulls.start[k] as usize..pulls.start[k + 1] as usize;
+            for (&slot, pull) in pulls.slots[pairs.clone()].iter().zip(&pulls.pulls[pairs]) {
+                let other = &sensitivity[slot as usize].position;
+                for axis in 0..D {
+                    sum -= W::Double::load(&other[axis]) * pull[axis];
+                }
+            }
+            *density = sum.store();
+        }
+    }
+}
+
+/// One block of parameters, as the stress sees it.
+pub(super) struct StressColumns<'a> {
+    /// `δρ` per slot.
+    pub(super) density: &'a [Lanes],
+    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
+    pub(super) directions: &'a [Lanes; Parameter::COUNT],
+    /// `(lane, place in the network)` of the weights among the eight.
+    pub(super) weights: &'a [(usize, usize)],
+}
+
+/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters: the stress is
+/// differentiated once for all of them.
+pub(super) struct StressTangent<'a, 'b, const D: usize> {
+    pub(super) model: &'a dyn Model<D>,
+    /// Slot of the first particle.
+    pub(super) first: usize,
+    pub(super) columns: &'a [StressColumns<'a>],
+    pub(super) particles: &'a [Packed],
+    pub(super) into: (Vec<&'b mut [PackedSensitivity<D>]>, &'b mut [f64]),
+    pub(super) room: &'a mut Room,
+}
+
+impl<const D: usize> StressTangent<'_, '_, D> {
+    pub(super) fn run(self) {
+        let Self { model, first, columns, particles, into: (mut blocks, slopes), room } = self;
+        let some_weights = columns.iter().any(|block| !block.weights.is_empty());
+        let with_weights = some_weights && model.has_stress_network();
+        let rows = slopes.chunks_mut(WIDTH).zip(particles.chunks(WIDTH));
+        for (number, (slopes, particles)) in rows.enumerate() {
+            let rho = densities(particles);
+            let stress = model.stress_slope(rho, room);
+            if with_weights {
+                model.stress_weights(rho, room);
+            }
+            for (lane, slope) in slopes.iter_mut().enumerate() {
+                *slope = stress.by_density.lane(lane);
+            }
+            let by_weight = with_weights.then_some(&room.weights[..]);
+            for (lines, columns) in blocks.iter_mut().zip(columns) {
+                let lines = &mut lines[number * WIDTH..][..slopes.len()];
+                let density = &columns.density[first + number * WIDTH..];
+                dispatch(Fill { columns, density, lines, stress: &stress, by_weight });
+            }
+        }
+    }
+}
+
+/// `δρ` and `δA` of up to eight particles for one block of parameters.
+struct Fill<'a, const D: usize> {
+    columns: &'a StressColumns<'a>,
+    density: &'a [Lanes],
+    lines: &'a mut [PackedSensitivity<D>],
+    stress: &'a StressSlope,
+    by_weight: Option<&'a [Lanes]>,
+}
+
+impl<const D: usize> Pass for Fill<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { columns, density, lines, stress, by_weight } = self;
+        let mut direct = [Lanes::ZERO; WIDTH];
+        if let Some(by_weight) = by_weight {
+            for &(column, weight) in columns.weights {
+                direct[column] = by_weight[weight];
+            }
+        }
+        let direct = transposed::<W>(&direct);
+        for (lane, (line, density)) in lines.iter_mut().zip(density).enumerate() {
+            let mut change = W::Double::load(density) * stress.by_density.lane(lane);
+            for (direction, slope) in columns.directions.iter().zip(&stress.by_parameter) {
+                change += W::Double::load(direction) * slope.lane(lane);
+            }
+            line.density = *density;
+            line.stress = (change + direct[lane]).store();
+        }
+    }
+}
