@@ -90,6 +90,15 @@ impl<const D: usize> Cells<D> {
         coordinates.iter().rev().fold(0, |index, &c| index * self.per_axis + c)
     }
 
+    /// A slot in a cell at least `least` cells along the first axis from the cell at `coordinates`, if the
+    /// cell halfway around the box has one.
+    pub fn far_from(&self, coordinates: [usize; D], least: usize) -> Option<usize> {
+        let mut opposite = coordinates;
+        opposite[0] = (coordinates[0] + self.per_axis / 2) % self.per_axis;
+        let slots = self.slots(opposite);
+        (self.per_axis / 2 >= least && !slots.is_empty()).then_some(slots.start)
+    }
+
     /// Number of cells.
     pub fn count(&self) -> usize {
         self.per_axis.pow(D as u32)

@@ -2,6 +2,7 @@
 
 pub mod arrays;
 pub mod cells;
+pub mod chunk;
 pub mod error;
 pub mod evaluation;
 pub mod flow;

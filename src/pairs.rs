@@ -1,33 +1,10 @@
-//! Eight neighbours at once: lists of neighbours, and how every pair loop reads them.
+//! Eight neighbours at once: how every pair loop reads them.
 
+pub use crate::chunk::{AHEAD, CHUNK, Chunk, Draft, Eight, Entry};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, WIDTH, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
-
-/// Particles per parallel task: fixed, so that no result depends on the number of threads.
-pub const CHUNK: usize = 256;
-
-/// Lines of so many bytes in all are in the cache when they are needed.
-const FITS_CACHE: usize = 4 << 20;
-
-/// Whose neighbours' lines are asked for while a particle meets its own: so many slots ahead.
-pub const AHEAD: usize = 4;
-
-/// The neighbours of [`CHUNK`] consecutive slots.
-#[derive(Clone, Debug, Default)]
-pub struct Chunk {
-    /// First slot of the chunk.
-    pub first: usize,
-    /// Where each slot's neighbours start in `index`; one more at the end.
-    start: Vec<u32>,
-    /// Slots, filled up to whole lanes with the slot of nobody, `N`.
-    index: Vec<u32>,
-    /// How much of `index` is filled, while lists are built.
-    filled: usize,
-    /// Of each slot, whether some neighbour may be across the seam of the box.
-    seam: Vec<bool>,
-}
 
 /// The box around a particle.
 #[derive(Clone, Copy, Debug)]
@@ -36,153 +13,6 @@ pub struct Surroundings {
     pub space: PeriodicBox,
     /// Whether differences to its neighbours need the nearest image.
     pub seam: bool,
-}
-
-impl Chunk {
-    /// Number of slots.
-    pub fn len(&self) -> usize {
-        self.start.len().saturating_sub(1)
-    }
-
-    /// Whether the chunk has no slots.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        4 * (self.index.capacity() + self.start.capacity()) + self.seam.capacity()
-    }
-
-    /// The neighbours of the chunk's `k`-th slot, eight at a time.
-    #[inline(always)]
-    pub fn neighbours(&self, k: usize) -> &[[u32; WIDTH]] {
-        self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
-    }
-
-    /// Forgets all lists.
-    pub fn clear(&mut self) {
-        self.start.clear();
-        self.start.push(0);
-        self.seam.clear();
-        self.filled = 0;
-    }
-
-    /// Begins the list of a slot, of at most so many candidates: where it goes.
-    #[inline(always)]
-    pub fn open(&mut self, candidates: usize) -> &mut [u32] {
-        self.make_room(self.filled + candidates + 4 * WIDTH);
-        &mut self.index[self.filled..]
-    }
-
-    /// Adds the slots that were written to the front of what [`Self::open`] returned.
-    #[inline(always)]
-    pub fn fill(&mut self, slots: usize) {
-        self.filled += slots;
-    }
-
-    /// How many slots all lists together have room for.
-    pub fn room(&self) -> usize {
-        self.index.len()
-    }
-
-    /// Makes room for so many slots in all lists, and for the lists of [`CHUNK`] slots.
-    #[inline(always)]
-    pub fn make_room(&mut self, slots: usize) {
-        if self.index.len() < slots {
-            self.index.resize(slots, 0);
-            self.start.reserve((CHUNK + 1).saturating_sub(self.start.len()));
-            self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
-        }
-    }
-
-    /// The box around the chunk's `k`-th slot.
-    #[inline(always)]
-    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
-        Surroundings { space, seam: self.seam[k] }
-    }
-
-    /// Ends the list of a slot, with the slot of nobody, `nobody`, up to whole lanes; `seam` says whether
-    /// a neighbour may be across the seam of the box, while the list is used.
-    #[inline(always)]
-    pub fn close(&mut self, nobody: usize, seam: bool) {
-        self.seam.push(seam);
-        let whole = self.filled.next_multiple_of(WIDTH);
-        self.index[self.filled..whole].fill(nobody as u32);
-        self.filled = whole;
-        self.start.push(whole as u32);
-    }
-
-    /// Ends all lists.
-    pub fn finish(&mut self) {
-        self.index.truncate(self.filled);
-    }
-
-    /// Number of eights in all lists.
-    pub fn batches(&self) -> usize {
-        self.index.len() / WIDTH
-    }
-
-    /// Place of the `k`-th slot's first eight among [`Self::batches`].
-    #[inline(always)]
-    pub fn first_batch(&self, k: usize) -> usize {
-        self.start[k] as usize / WIDTH
-    }
-
-    /// The slot at a place in the lists.
-    #[inline(always)]
-    pub fn slot(&self, place: usize) -> usize {
-        self.index[place] as usize
-    }
-
-    /// The slots at all places in the lists.
-    pub fn slots(&self) -> &[u32] {
-        &self.index
-    }
-
-    /// Becomes a copy of other lists. A first copy has just the room it needs; one that must grow takes a
-    /// sixteenth more, so that it seldom does.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.first = other.first;
-        self.filled = other.filled;
-        copy(&mut self.start, &other.start);
-        copy(&mut self.seam, &other.seam);
-        copy(&mut self.index, &other.index[..other.filled]);
-    }
-
-    /// Asks for the lines of the neighbours of the chunk's `k`-th slot, if it has one, where all lines do
-    /// not fit the cache.
-    #[inline(always)]
-    pub fn fetch_ahead<W: Wide>(&self, k: usize, lines: &[W::Line]) {
-        if size_of_val(lines) <= FITS_CACHE || k >= self.len() {
-            return;
-        }
-        for &slot in self.neighbours(k).as_flattened() {
-            if let Some(line) = lines.get(slot as usize) {
-                W::fetch(line);
-            }
-        }
-    }
-
-    /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
-    /// made room for.
-    #[inline(always)]
-    pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
-        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
-            W::compress(mask, first as u32, kept);
-        }
-        self.filled += mask.count_ones() as usize;
-    }
-}
-
-/// Replaces the content of a vector, with a sixteenth of room where it must grow.
-fn copy<T: Copy>(into: &mut Vec<T>, from: &[T]) {
-    into.clear();
-    if into.capacity() < from.len() {
-        let more = if into.capacity() == 0 { 0 } else { from.len() / 16 };
-        into.reserve_exact(from.len() + more);
-    }
-    into.extend_from_slice(from);
 }
 
 /// All particles in cell order, as their pairs see them, nobody behind the last.
@@ -265,17 +95,20 @@ pub struct Batch<W, const D: usize> {
 
 /// Eight of many.
 #[inline(always)]
-pub fn pick<'a, P>(all: &'a [P], slots: &[u32; WIDTH]) -> [&'a P; WIDTH] {
+pub fn pick<'a, P>(all: &'a [P], others: Eight<'_, impl Entry>) -> [&'a P; WIDTH] {
     // Written out: the closure of an array's `map` is not inlined into vectorised functions.
-    let [a, b, c, d, e, f, g, h] = *slots;
-    let at = |slot: u32| &all[slot as usize];
-    [at(a), at(b), at(c), at(d), at(e), at(f), at(g), at(h)]
+    let near = &all[others.base..];
+    let at = |lane: usize| &near[others.entries[lane].distance()];
+    [at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)]
 }
 
 /// `∂L/∂F` and `∂L/∂ρ` of eight particles.
 #[inline(always)]
-pub fn adjoints<W: Wide>(adjoint: &[PackedAdjoint], slots: &[u32; WIDTH]) -> [W::Double; 4] {
-    W::adjoints(pick(adjoint, slots))
+pub fn adjoints<W: Wide>(
+    adjoint: &[PackedAdjoint],
+    others: Eight<'_, impl Entry>,
+) -> [W::Double; 4] {
+    W::adjoints(pick(adjoint, others))
 }
 
 /// `rᵢⱼ` of the particle in slot `here` and eight others.
@@ -283,11 +116,11 @@ pub fn adjoints<W: Wide>(adjoint: &[PackedAdjoint], slots: &[u32; WIDTH]) -> [W:
 pub fn separation<W: Wide, const D: usize>(
     lines: Lines<'_>,
     here: usize,
-    slots: &[u32; WIDTH],
+    others: Eight<'_, impl Entry>,
     space: Surroundings,
 ) -> Vector<W, D> {
     let lines = W::lines(lines);
-    W::separation(&lines[here], pick(lines, slots), space)
+    W::separation(&lines[here], pick(lines, others), space)
 }
 
 impl<W: Wide, const D: usize> Batch<W, D> {
@@ -307,11 +140,16 @@ impl<W: Wide, const D: usize> Batch<W, D> {
         (self.pair.r2.store().lane(lane), separation)
     }
 
-    /// The particle in slot `here` against the particles in `slots`.
+    /// The particle in slot `here` against eight others.
     #[inline(always)]
-    pub fn read(lines: Lines<'_>, here: usize, slots: &[u32; WIDTH], space: Surroundings) -> Self {
+    pub fn read(
+        lines: Lines<'_>,
+        here: usize,
+        others: Eight<'_, impl Entry>,
+        space: Surroundings,
+    ) -> Self {
         let lines = W::lines(lines);
-        let read = W::read::<D>(&lines[here], pick(lines, slots), space);
+        let read = W::read::<D>(&lines[here], pick(lines, others), space);
         Self {
             separation: read.separation,
             velocity: read.velocity,

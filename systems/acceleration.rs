@@ -198,9 +198,9 @@ impl Senders {
     fn transpose(&mut self, lists: &[Chunk], particles: usize) {
         self.start.clear();
         self.start.resize(particles + 2, 0);
-        for &other in lists.iter().flat_map(Chunk::slots) {
+        for other in lists.iter().flat_map(Chunk::slots) {
             // Nobody, behind the last, is counted behind the end.
-            self.start[other as usize + 1] += 1;
+            self.start[other + 1] += 1;
         }
         for slot in 0..particles {
             self.start[slot + 1] += self.start[slot];
@@ -208,9 +208,9 @@ impl Senders {
         self.start.truncate(particles + 1);
         self.places.resize(self.start[particles] as usize, [0; 2]);
         for (number, chunk) in lists.iter().enumerate().rev() {
-            for (place, &other) in chunk.slots().iter().enumerate().rev() {
+            for (place, other) in chunk.slots().enumerate().rev() {
                 // Filling from the back turns each end into a start.
-                let Some(end) = self.start[1..].get_mut(other as usize) else { continue };
+                let Some(end) = self.start[1..].get_mut(other) else { continue };
                 *end -= 1;
                 self.places[*end as usize] = [number as u32, place as u32];
             }

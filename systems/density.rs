@@ -9,7 +9,7 @@ use super::particles::{
 use crate::cells::FEWEST;
 use crate::models::{Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{AHEAD, CHUNK, Hood, Lines, adjoints, separation};
+use crate::pairs::{AHEAD, CHUNK, Entry, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -27,16 +27,23 @@ impl<const D: usize> Pass for DensityPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
+        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+    }
+}
+
+impl<const D: usize> DensityPass<'_, D> {
+    #[inline(always)]
+    fn sweep<W: Wide, E: Entry>(self) {
         let Hood { lines, chunk, space } = self.hood;
         let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
         let all = W::lines(lines);
         for (k, density) in self.density.iter_mut().enumerate() {
-            chunk.fetch_ahead::<W>(k + AHEAD, all);
+            chunk.fetch_ahead::<W, E>(k + AHEAD, all);
             let mut sum = W::Double::of(0.0);
             let space = chunk.around(k, space);
-            for slots in chunk.neighbours(k) {
-                let r = separation::<W, D>(lines, chunk.first + k, slots, space);
+            for eight in chunk.neighbours::<E>(k) {
+                let r = separation::<W, D>(lines, chunk.first + k, eight, space);
                 sum += smoothing.value(r.norm_squared().sqrt()).widen();
             }
             *density = self.medium.mass * (own + sum.sum());
@@ -157,6 +164,13 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
+        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+    }
+}
+
+impl<const D: usize> DensityPullback<'_, D> {
+    #[inline(always)]
+    fn sweep<W: Wide, E: Entry>(self) {
         let Hood { lines, chunk, space } = self.hood;
         let Medium { smoothing, mass, .. } = self.medium;
         for (k, position) in self.position.iter_mut().enumerate() {
@@ -164,10 +178,10 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
             let own = self.adjoint[slot].density;
             let mut sum = Vector::<W::Double, D>::zero();
             let space = chunk.around(k, space);
-            for slots in chunk.neighbours(k) {
-                let r = separation::<W, D>(lines, slot, slots, space);
+            for eight in chunk.neighbours::<E>(k) {
+                let r = separation::<W, D>(lines, slot, eight, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
-                let [.., density] = adjoints::<W>(self.adjoint, slots);
+                let [.., density] = adjoints::<W>(self.adjoint, eight);
                 let both = pull.widen() * (density + own);
                 for axis in 0..D {
                     sum[axis] += r[axis].widen() * both;

@@ -3,7 +3,7 @@
 use super::density::densities;
 use crate::models::{Medium, Model, Parameter, Room, StressSlope};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::pairs::{Hood, separation};
+use crate::pairs::{Entry, Hood, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -73,6 +73,13 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
+        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+    }
+}
+
+impl<const D: usize> PullsPass<'_, D> {
+    #[inline(always)]
+    fn sweep<W: Wide, E: Entry>(self) {
         let Self { hood: Hood { lines, chunk, space }, medium, coupling, into } = self;
         let Medium { smoothing, mass, .. } = medium;
         into.own.clear();
@@ -83,8 +90,8 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
         for k in 0..chunk.len() {
             let space = chunk.around(k, space);
             let mut sum = Vector::<W::Double, D>::zero();
-            for slots in chunk.neighbours(k) {
-                let r = separation::<W, D>(lines, chunk.first + k, slots, space);
+            for eight in chunk.neighbours::<E>(k) {
+                let r = separation::<W, D>(lines, chunk.first + k, eight, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
                 let (sizes, mut pulls) = (pull.store(), [Lanes::ZERO; D]);
                 for axis in 0..D {
@@ -93,7 +100,7 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
                     sum[axis] += along;
                 }
                 if coupling == Coupling::Full {
-                    into.push(slots, (sizes, nobody), &pulls);
+                    into.push(&eight.slots(), (sizes, nobody), &pulls);
                 }
             }
             let mut own = [0.0; D];

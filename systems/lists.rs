@@ -1,8 +1,9 @@
 //! The lists of one chunk of particles: who of the cells around is in reach.
 
 use crate::cells::Cells;
-use crate::packed::{Packed, PackedSingle};
-use crate::pairs::{CHUNK, Chunk};
+use crate::chunk::FEW;
+use crate::packed::PackedSingle;
+use crate::pairs::{CHUNK, Chunk, Draft};
 use crate::scalar::{Pass, WIDTH, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -17,7 +18,7 @@ pub(super) struct Workbench<const D: usize> {
     /// How many they are.
     count: usize,
     /// The lists, before they are copied to where they stay.
-    pub(super) lists: Chunk,
+    pub(super) lists: Draft,
 }
 
 impl<const D: usize> Default for Workbench<D> {
@@ -26,7 +27,7 @@ impl<const D: usize> Default for Workbench<D> {
             columns: std::array::from_fn(|_| Vec::new()),
             slots: Vec::new(),
             count: 0,
-            lists: Chunk::default(),
+            lists: Draft::default(),
         }
     }
 }
@@ -61,20 +62,20 @@ pub(super) struct ListPass<'a, const D: usize> {
     pub(super) first: usize,
     /// Fixed-point coordinates in cell order, axis by axis, with two [`WIDTH`] more behind them.
     pub(super) columns: &'a [Vec<i32>; D],
-    /// The particles in cell order.
-    pub(super) lines: &'a [Packed],
+    /// Positions by row.
+    pub(super) position: &'a (dyn Fn(usize) -> Vector<f64, D> + Sync),
     pub(super) cells: &'a Cells<D>,
     pub(super) space: PeriodicBox,
     /// How far the lists reach, and how far particles may be carried while they are used.
     pub(super) reach: (f64, f64),
 }
 
-impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>) {
+impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>, &mut Chunk) {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let (pass, bench) = self;
+        let (pass, bench, chunk) = self;
         let count = pass.columns[0].len() - 2 * WIDTH;
         let limits = PackedSingle::limits(pass.reach.0, pass.space);
         let end = (pass.first + CHUNK).min(count);
@@ -86,12 +87,14 @@ impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>) {
             let cell = pass.cells.coordinates_of(pass.place(slot));
             let until = pass.cells.slots(cell).end.min(end);
             pass.gather::<W>(cell, slot..until, limits[1], bench);
+            let nobody = pass.nobody_near(cell, count);
             while slot < until {
                 pass.list::<W>(slot, limits, bench);
-                bench.lists.close(count, pass.is_near_seam(slot));
+                bench.lists.close(nobody, pass.is_near_seam(slot));
                 slot += 1;
             }
         }
+        chunk.copy_from(&bench.lists, count);
     }
 }
 
@@ -202,14 +205,21 @@ impl<const D: usize> ListPass<'_, D> {
         let near = |bit: &usize| {
             // Outside of the mask there may be nobody.
             mask >> bit & 1 == 1 && {
+                let rows = &self.cells.row_of_slot;
                 let [here, there] =
-                    [slot, others[*bit] as usize].map(|slot| self.lines[slot].position);
-                let apart = Vector::<f64, D>::from_3d(here) - Vector::from_3d(there);
-                let apart = self.space.minimum_image(apart);
+                    [slot, others[*bit] as usize].map(|slot| (self.position)(rows[slot] as usize));
+                let apart = self.space.minimum_image(here - there);
                 apart.norm_squared() < self.reach.0 * self.reach.0
             }
         };
         (0..2 * WIDTH).filter(near).fold(0, |found, bit| found | 1 << bit)
+    }
+
+    /// Who fills up the lists of a cell: nobody, or, where he is too far away to be counted in two bytes,
+    /// somebody half a box away along the first axis.
+    #[inline(always)]
+    fn nobody_near(&self, cell: [usize; D], count: usize) -> usize {
+        if count <= FEW { count } else { self.cells.far_from(cell, 3).unwrap_or(count) }
     }
 
     /// Whether, before the lists are built anew, the particle or a neighbour of it may cross the seam of

@@ -223,7 +223,7 @@ fn add_packed_velocities<const PREDICTED: bool, const MOVED: bool, const D: usiz
     needs: Needs,
     set: impl SystemSet,
 ) {
-    let value = neighbours::pack_velocities::<PREDICTED, D>;
+    let value = neighbours::pack_velocities::<PREDICTED, MOVED, D>;
     with_tangent(schedule, needs, (value, verlet::pack_sensitivities::<PREDICTED, MOVED, D>), set);
 }
 

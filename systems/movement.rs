@@ -6,8 +6,9 @@
 //! times less. Displacements are bounded by a box for each cell of the list, and every box is compared
 //! with those of the cells around it.
 
+use super::particles::Position;
 use crate::cells::Cells;
-use crate::packed::{Packed, PackedSingle};
+use crate::packed::PackedSingle;
 use crate::space::PeriodicBox;
 use rayon::prelude::*;
 
@@ -69,12 +70,12 @@ pub(super) struct Movement {
 
 impl Movement {
     /// Whether two neighbours may have moved `skin` or more apart, or someone `carried` or more, since
-    /// `cells` were sorted: then the particles, now at `lines`, had the fixed-point coordinates in
-    /// `columns`, both in the order of the cells.
+    /// `cells` were sorted: then the particles, now at `positions`, row by row, had the fixed-point coordinates in
+    /// `columns`, in the order of the cells.
     pub(super) fn tears<const D: usize>(
         &mut self,
         (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
-        lines: &[Packed],
+        positions: &[Position<D>],
         space: PeriodicBox,
         (skin, carried): (f64, f64),
     ) -> bool {
@@ -83,9 +84,10 @@ impl Movement {
         all.for_each(|(cell, bounds)| {
             *bounds = Bounds::NONE;
             for slot in cells.range(cell) {
+                let position = positions[cells.row_of_slot[slot] as usize].0;
                 let mut moved = [0; D];
                 for axis in 0..D {
-                    let now = PackedSingle::fixed_point(lines[slot].position[axis], space);
+                    let now = PackedSingle::fixed_point(position[axis], space);
                     moved[axis] = now.wrapping_sub(columns[axis][slot]);
                 }
                 bounds.see(moved);

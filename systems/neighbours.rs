@@ -76,12 +76,12 @@ impl<const D: usize> Neighbours<D> {
     pub fn pairs(&self, cloud: &Cloud<D>) -> u64 {
         let within = |chunk: &Chunk, k: usize| {
             let here = Vector::<f64, D>::from_3d(cloud.packed[chunk.first + k].position);
-            let near = |&&j: &&u32| {
-                let there = Vector::from_3d(cloud.packed[j as usize].position);
+            let near = |&j: &usize| {
+                let there = Vector::from_3d(cloud.packed[j].position);
                 let apart = self.space.minimum_image(here - there);
                 apart.norm_squared() < self.support * self.support
             };
-            chunk.neighbours(k).as_flattened().iter().filter(near).count() as u64
+            chunk.slots_of(k).filter(near).count() as u64
         };
         self.chunks
             .iter()
@@ -114,37 +114,34 @@ impl<const D: usize> Neighbours<D> {
         self.build(reference.len(), |row| reference[row], cloud);
     }
 
-    /// Builds the lists if two neighbours may have moved a skin apart since they were built, and puts
-    /// the positions, row by row, into the cloud.
+    /// Builds the lists from positions, given row by row, if two neighbours may have moved a skin apart since
+    /// they were built.
     fn update(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) {
-        if self.valid && cloud.len() == positions.len() && self.still_hold(positions, cloud) {
+        if self.valid && cloud.len() == positions.len() && self.still_hold(positions) {
             return;
         }
         self.build(positions.len(), |row| positions[row].0, cloud);
     }
 
-    /// Puts positions into the cloud, and says whether the lists hold whoever may touch whom there.
-    fn still_hold(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> bool {
-        let farthest = self.place(positions, cloud);
+    /// Whether the lists hold whoever may touch whom at these positions.
+    fn still_hold(&mut self, positions: &[Position<D>]) -> bool {
+        let farthest = self.farthest(positions);
         // As long as nobody has moved half a skin, no two of them have moved a skin apart.
         let steps = PackedSingle::STEPS / self.space.length;
         // Rounded coordinates are known to half a step each.
         farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2) || {
-            let (lines, limits) = (&cloud.packed[..positions.len()], (self.skin, self.carried()));
-            !self.movement.tears((&self.cells, &self.columns), lines, self.space, limits)
+            let limits = (self.skin, self.carried());
+            !self.movement.tears((&self.cells, &self.columns), positions, self.space, limits)
         }
     }
 
-    /// Puts positions into the cloud, and returns the square of the farthest that somebody is, in
-    /// fixed-point steps, from where he was when the lists were built.
-    fn place(&self, positions: &[Position<D>], cloud: &mut Cloud<D>) -> f64 {
-        let rows = &self.cells.row_of_slot;
-        let lines = cloud.packed[..rows.len()].par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK));
-        let far = lines.enumerate().map(|(number, (lines, rows))| {
+    /// The square of the farthest that somebody is, in fixed-point steps, from where he was when the lists
+    /// were built.
+    fn farthest(&self, positions: &[Position<D>]) -> f64 {
+        let far = self.cells.row_of_slot.par_chunks(CHUNK).enumerate().map(|(number, rows)| {
             let mut farthest = 0.0_f64;
-            for (k, (line, &row)) in lines.iter_mut().zip(rows).enumerate() {
+            for (k, &row) in rows.iter().enumerate() {
                 let position = positions[row as usize].0;
-                line.position = position.to_3d();
                 let mut square = 0.0;
                 for axis in 0..D {
                     let now = PackedSingle::fixed_point(position[axis], self.space);
@@ -163,7 +160,7 @@ impl<const D: usize> Neighbours<D> {
         CARRIED * self.support
     }
 
-    /// Puts positions, given by row, into the cloud, and builds the lists from them.
+    /// Sorts the cloud by positions, given by row, and builds the lists from them.
     fn build(
         &mut self,
         count: usize,
@@ -180,25 +177,22 @@ impl<const D: usize> Neighbours<D> {
         let reach = (self.support + self.skin, self.carried());
         self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
         let (cells, space) = (&self.cells, self.space);
-        let lines = &mut cloud.packed[..count];
-        let rows = lines.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
-        rows.for_each(|(line, &row)| line.position = position(row as usize).to_3d());
-        let lines = &*lines;
         for (axis, column) in self.columns.iter_mut().enumerate() {
             column.resize(count + 2 * WIDTH, 0);
-            let lines = column.par_iter_mut().zip(lines).with_min_len(FEWEST);
-            lines.for_each(|(x, line)| *x = PackedSingle::fixed_point(line.position[axis], space));
+            let rows = column.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
+            rows.for_each(|(x, &row)| {
+                *x = PackedSingle::fixed_point(position(row as usize)[axis], space);
+            });
         }
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
-        let (columns, benches) = (&self.columns, &self.benches);
+        let (columns, benches, position) = (&self.columns, &self.benches, &position);
         chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
             let first = number * CHUNK;
-            let pass = ListPass { first, columns, lines, cells, space, reach };
+            let pass = ListPass { first, columns, position, cells, space, reach };
             benches.lend(Workbench::default, |bench| {
-                dispatch((pass, &mut *bench));
-                chunk.copy_from(&bench.lists);
+                dispatch((pass, bench, chunk));
             });
         });
         Workbench::level(self.benches.rest());
@@ -225,7 +219,7 @@ pub fn brute_force<const D: usize>(
         .collect()
 }
 
-/// System: brings the neighbour lists and the packed positions up to date.
+/// System: brings the neighbour lists, and the order of the cloud, up to date.
 pub fn find_neighbours<const D: usize>(
     positions: Query<&Position<D>>,
     mut neighbours: ResMut<Neighbours<D>>,
@@ -235,22 +229,27 @@ pub fn find_neighbours<const D: usize>(
     neighbours.update(&positions, &mut cloud);
 }
 
-/// System: packs the velocity that the next force evaluation sees.
-pub fn pack_velocities<const PREDICTED: bool, const D: usize>(
-    particles: Query<(&Velocity<D>, &Acceleration<D>)>,
+/// System: packs the velocity that the next force evaluation sees and, where particles have `MOVED` since the
+/// last time, their positions.
+pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
+    particles: Query<(&Position<D>, &Velocity<D>, &Acceleration<D>)>,
     (integrator, neighbours): (Res<Integrator>, Res<Neighbours<D>>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let half_step = if PREDICTED { 0.5 * integrator.dt } else { 0.0 };
     let columns = || particles.contiguous_iter().into_iter().flatten();
-    let velocities = whole_column(columns().map(|(velocities, _)| velocities));
-    let accelerations = whole_column(columns().map(|(_, accelerations)| accelerations));
+    let positions = whole_column(columns().map(|(positions, ..)| positions));
+    let velocities = whole_column(columns().map(|(_, velocities, _)| velocities));
+    let accelerations = whole_column(columns().map(|(.., accelerations)| accelerations));
     let rows = &neighbours.cells.row_of_slot;
     let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(FEWEST);
     lines.for_each(|(line, &row)| {
         let v = velocities[row as usize].0;
         let seen = if PREDICTED { v + accelerations[row as usize].0 * half_step } else { v };
         line.velocity = seen.to_3d();
+        if MOVED {
+            line.position = positions[row as usize].0.to_3d();
+        }
     });
     cloud.round(integrator.space);
 }

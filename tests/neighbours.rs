@@ -47,8 +47,7 @@ fn listed<const D: usize>(flow: &Flow<D>) -> Vec<(usize, usize)> {
     let mut pairs = Vec::new();
     for chunk in neighbours.chunks.iter() {
         for k in 0..chunk.len() {
-            let others = chunk.neighbours(k).as_flattened().iter().map(|&slot| slot as usize);
-            let present = others.filter(|&slot| slot < count);
+            let present = chunk.slots_of(k).filter(|&slot| slot < count);
             pairs.extend(present.map(|slot| (row(chunk.first + k), row(slot))));
         }
     }

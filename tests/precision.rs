@@ -14,7 +14,7 @@ use whirls::learn::Learner;
 use whirls::models::Medium;
 use whirls::network::{exp, tanh};
 use whirls::packed::{Packed, PackedAdjoint, PackedSingle};
-use whirls::pairs::{Batch, Chunk, Lines, Surroundings, adjoints, separation};
+use whirls::pairs::{Batch, Draft, Eight, Lines, Surroundings, adjoints, separation};
 use whirls::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
 use whirls::scene::Scene;
 use whirls::sensitivity::Gradient;
@@ -52,9 +52,10 @@ impl<const D: usize> Pass for Everything<'_, D> {
         let space = Surroundings { space, seam: true };
         let mut bits = Vec::new();
         let mut put = |x: Lanes| bits.extend(x.to_array().map(f64::to_bits));
-        let mut chunk = Chunk::default();
+        let mut chunk = Draft::default();
         chunk.clear();
         for (here, slots) in self.slots.iter().enumerate() {
+            let slots = Eight::from(slots);
             let r = separation::<W, D>(self.lines, here, slots, space);
             put(self.medium.smoothing.value(r.norm_squared().sqrt()).store());
             let batch = Batch::<W, D>::read(self.lines, here, slots, space);

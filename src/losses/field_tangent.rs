@@ -5,7 +5,7 @@ use super::field::{CHUNK, Points, field_value, sum_lanes};
 use super::mesh::Mesh;
 use crate::kernel::Kernel;
 use crate::packed::{Packed, PackedSensitivity, PackedSingle};
-use crate::pairs::{Chunk, pick};
+use crate::pairs::{Draft, Eight, pick};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -49,7 +49,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
 
     /// The slots of every particle in reach of the place `x`, with nobody's up to whole lanes.
     #[inline(always)]
-    fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Chunk) -> &'b [[u32; WIDTH]] {
+    fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Draft) -> &'b [[u32; WIDTH]] {
         let Points { cells, space, .. } = self.points;
         let mut here = [0; D];
         for axis in 0..D {
@@ -74,7 +74,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     /// Eight particles from the place `x`.
     #[inline(always)]
     fn see<W: Wide>(&self, here: Vector<f64, D>, slots: &[u32; WIDTH]) -> Seen<W::Double, D> {
-        let [x, y, z, u, v, w, density, volume] = W::fields(pick(&self.lines, slots));
+        let [x, y, z, u, v, w, density, volume] = W::fields(pick(&self.lines, Eight::from(slots)));
         let (mut apart, mut velocity) = (Vector::zero(), Vector::zero());
         for (axis, (place, speed)) in [(x, u), (y, v), (z, w)].into_iter().enumerate().take(D) {
             apart[axis] = W::Double::of(here[axis]) - place;
@@ -96,7 +96,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     fn velocity<W: Wide>(
         &self,
         x: Vector<f64, D>,
-        near: &mut Chunk,
+        near: &mut Draft,
         givers: &mut Givers,
     ) -> Vector<f64, D> {
         let mut sum = Vector::<W::Double, D>::zero();
@@ -225,7 +225,7 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
         let mut sum = SquareSum::new(count);
         let mut columns = vec![Lanes::ZERO; NODES * D * count];
         let (mut near, mut givers, mut residuals) =
-            (Chunk::default(), Givers::default(), Vec::new());
+            (Draft::default(), Givers::default(), Vec::new());
         for (group, truth) in truth.chunks(NODES).enumerate() {
             givers.clear();
             residuals.clear();

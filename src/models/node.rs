@@ -101,9 +101,8 @@ impl<const D: usize> Node<D> {
             return;
         }
         room.candidates.clear();
-        let first = (hood.chunk.first_batch(k) * WIDTH) as u32;
-        let count = hood.chunk.neighbours(k).as_flattened().len() as u32;
-        for place in first..first + count {
+        let batches = hood.chunk.range(k);
+        for place in (batches.start * WIDTH) as u32..(batches.end * WIDTH) as u32 {
             let r2 = self.feature(hood, k, place).separation.norm_squared();
             if r2 < support2 {
                 room.candidates.push((r2, place));

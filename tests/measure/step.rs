@@ -153,7 +153,7 @@ impl Contestant {
             let flow = &mut *cell.borrow_mut();
             rayon::scope(|_| {
                 flow.world_mut().run_system_once(find_neighbours::<3>).unwrap();
-                flow.world_mut().run_system_once(pack_velocities::<true, 3>).unwrap();
+                flow.world_mut().run_system_once(pack_velocities::<true, true, 3>).unwrap();
             });
             0
         };
@@ -270,9 +270,8 @@ fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
         for k in 0..chunk.len() {
             let here = chunk.first + k;
             let mut density = medium.smoothing.value(0.0);
-            for &j in chunk.neighbours(k).as_flattened() {
-                let r2 =
-                    neighbours.space.minimum_image(place(here) - place(j as usize)).norm_squared();
+            for j in chunk.slots_of(k) {
+                let r2 = neighbours.space.minimum_image(place(here) - place(j)).norm_squared();
                 if r2 < support2 {
                     density += medium.smoothing.value(r2.sqrt());
                 }
@@ -284,8 +283,8 @@ fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
         for k in 0..chunk.len() {
             let here = &cloud.packed[chunk.first + k];
             let mut force = Vector::<f64, 3>::zero();
-            for &j in chunk.neighbours(k).as_flattened() {
-                let there = &cloud.packed[j as usize];
+            for j in chunk.slots_of(k) {
+                let there = &cloud.packed[j];
                 let r = Vector(here.position) - Vector(there.position);
                 let r = neighbours.space.minimum_image(r);
                 let r2 = r.norm_squared();

@@ -1,0 +1,386 @@
+//! Lists of neighbours, eight at a time: as they are written, and as they are kept.
+
+use crate::pairs::{Surroundings, pick};
+use crate::scalar::{WIDTH, Wide};
+use crate::space::PeriodicBox;
+
+/// Particles per parallel task: fixed, so that no result depends on the number of threads.
+pub const CHUNK: usize = 256;
+
+/// Lines of so many bytes in all are in the cache when they are needed.
+const FITS_CACHE: usize = 4 << 20;
+
+/// Whose neighbours' lines are asked for while a particle meets its own: so many slots ahead.
+pub const AHEAD: usize = 4;
+
+/// The neighbours of [`CHUNK`] consecutive slots, as they are kept.
+///
+/// Cells that touch are near each other in the order of the slots, too, so that two bytes for each
+/// neighbour are enough: its distance from the chunk's `base`. Where they are not, as at the seam of a box of
+/// more than 65535 particles, a chunk keeps whole slots.
+#[derive(Clone, Debug, Default)]
+pub struct Chunk {
+    /// First slot of the chunk.
+    pub first: usize,
+    /// The slot that entries are counted from.
+    base: usize,
+    /// Where each slot's eights start; one more at the end.
+    start: Vec<u32>,
+    /// Entries from the base on.
+    near: Vec<[u16; WIDTH]>,
+    /// Whole slots, in place of `near`.
+    whole: Vec<[u32; WIDTH]>,
+    /// Of each slot, whether some neighbour may be across the seam of the box.
+    seam: Vec<bool>,
+}
+
+/// How a neighbour is kept.
+pub trait Entry: Copy + 'static {
+    /// Those of a chunk.
+    fn of(chunk: &Chunk) -> &[[Self; WIDTH]];
+
+    /// Slots from the chunk's base on.
+    fn distance(self) -> usize;
+}
+
+impl Entry for u16 {
+    #[inline(always)]
+    fn of(chunk: &Chunk) -> &[[Self; WIDTH]] {
+        &chunk.near
+    }
+
+    #[inline(always)]
+    fn distance(self) -> usize {
+        usize::from(self)
+    }
+}
+
+impl Entry for u32 {
+    #[inline(always)]
+    fn of(chunk: &Chunk) -> &[[Self; WIDTH]] {
+        &chunk.whole
+    }
+
+    #[inline(always)]
+    fn distance(self) -> usize {
+        self as usize
+    }
+}
+
+/// Eight neighbours.
+#[derive(Clone, Copy, Debug)]
+pub struct Eight<'a, E> {
+    /// The slot that entries are counted from.
+    pub(crate) base: usize,
+    pub(crate) entries: &'a [E; WIDTH],
+}
+
+impl<'a, E> From<&'a [E; WIDTH]> for Eight<'a, E> {
+    /// Those with these slots.
+    #[inline(always)]
+    fn from(entries: &'a [E; WIDTH]) -> Self {
+        Self { base: 0, entries }
+    }
+}
+
+impl<E: Entry> Eight<'_, E> {
+    /// The slot of one of them.
+    #[inline(always)]
+    pub fn slot(&self, lane: usize) -> usize {
+        self.base + self.entries[lane].distance()
+    }
+
+    /// Their slots.
+    #[inline(always)]
+    pub fn slots(&self) -> [u32; WIDTH] {
+        let mut slots = [0; WIDTH];
+        for (lane, slot) in slots.iter_mut().enumerate() {
+            *slot = self.slot(lane) as u32;
+        }
+        slots
+    }
+}
+
+/// Most particles that every chunk can count in two bytes, with the slot of nobody behind them.
+pub const FEW: usize = u16::MAX as usize;
+
+impl Chunk {
+    /// Number of slots.
+    pub fn len(&self) -> usize {
+        self.start.len().saturating_sub(1)
+    }
+
+    /// Whether the chunk has no slots.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        let lists = 2 * self.near.capacity() + 4 * self.whole.capacity();
+        WIDTH * lists + 4 * self.start.capacity() + self.seam.capacity()
+    }
+
+    /// Whether neighbours are kept in two bytes, as [`u16`], and not as [`u32`].
+    #[inline(always)]
+    pub fn is_near(&self) -> bool {
+        self.whole.is_empty()
+    }
+
+    /// The neighbours of the chunk's `k`-th slot, eight at a time, filled up to whole eights with nobody, or
+    /// with somebody who is out of anyone's reach; `E` is how the chunk keeps them.
+    #[inline(always)]
+    pub fn neighbours<E: Entry>(&self, k: usize) -> impl ExactSizeIterator<Item = Eight<'_, E>> {
+        E::of(self)[self.range(k)].iter().map(|entries| Eight { base: self.base, entries })
+    }
+
+    /// The box around the chunk's `k`-th slot.
+    #[inline(always)]
+    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
+        Surroundings { space, seam: self.seam[k] }
+    }
+
+    /// Number of eights in all lists.
+    pub fn batches(&self) -> usize {
+        self.near.len() + self.whole.len()
+    }
+
+    /// Where the `k`-th slot's eights are among [`Self::batches`].
+    #[inline(always)]
+    pub fn range(&self, k: usize) -> std::ops::Range<usize> {
+        self.start[k] as usize..self.start[k + 1] as usize
+    }
+
+    /// The slot at a place in the lists.
+    #[inline(always)]
+    pub fn slot(&self, place: usize) -> usize {
+        let (batch, lane) = (place / WIDTH, place % WIDTH);
+        match self.near.get(batch) {
+            Some(near) => self.base + near[lane].distance(),
+            None => self.whole[batch][lane].distance(),
+        }
+    }
+
+    /// The slots at all places in the lists.
+    pub fn slots(&self) -> impl DoubleEndedIterator<Item = usize> + ExactSizeIterator {
+        (0..WIDTH * self.batches()).map(|place| self.slot(place))
+    }
+
+    /// The slots of the chunk's `k`-th slot's neighbours.
+    pub fn slots_of(&self, k: usize) -> impl ExactSizeIterator<Item = usize> {
+        let batches = self.range(k);
+        (WIDTH * batches.start..WIDTH * batches.end).map(|place| self.slot(place))
+    }
+
+    /// Asks for the lines of the neighbours of the chunk's `k`-th slot, if it has one, where all lines do
+    /// not fit the cache.
+    #[inline(always)]
+    pub fn fetch_ahead<W: Wide, E: Entry>(&self, k: usize, lines: &[W::Line]) {
+        if size_of_val(lines) <= FITS_CACHE || k >= self.len() {
+            return;
+        }
+        for others in self.neighbours::<E>(k) {
+            for line in pick(lines, others) {
+                W::fetch(line);
+            }
+        }
+    }
+
+    /// Becomes a copy of lists of a flow of so many `particles`. A first copy has just the room it needs; one
+    /// that must grow takes a sixteenth more, so that it seldom does.
+    #[inline(always)]
+    pub fn copy_from(&mut self, draft: &Draft, particles: usize) {
+        self.first = draft.first;
+        copy(&mut self.seam, &draft.seam);
+        renew(&mut self.start, draft.start.iter().map(|&start| start / WIDTH as u32));
+        let eights = draft.index[..draft.filled].as_chunks::<WIDTH>().0;
+        // As much before the chunk as behind it.
+        let middle = (draft.first + CHUNK / 2).saturating_sub(FEW.div_ceil(2));
+        let base = middle.min(particles.saturating_sub(FEW));
+        // Slots before the base become the largest.
+        let from_base = eights.as_flattened().iter().map(|slot| slot.wrapping_sub(base as u32));
+        if particles > FEW && from_base.fold(0, u32::max) as usize > FEW {
+            self.base = 0;
+            self.near.clear();
+            copy(&mut self.whole, eights);
+            return;
+        }
+        self.base = base;
+        self.whole.clear();
+        let near = |eight: &[u32; WIDTH]| {
+            let mut near = [0; WIDTH];
+            for (near, slot) in near.iter_mut().zip(eight) {
+                *near = slot.wrapping_sub(base as u32) as u16;
+            }
+            near
+        };
+        renew(&mut self.near, eights.iter().map(near));
+    }
+}
+
+/// Replaces the content of a vector.
+#[inline(always)]
+fn copy<T: Copy>(into: &mut Vec<T>, from: &[T]) {
+    renew(into, from.iter().copied());
+}
+
+/// Replaces the content of a vector, with a sixteenth of room where it must grow.
+#[inline(always)]
+fn renew<T>(into: &mut Vec<T>, from: impl ExactSizeIterator<Item = T>) {
+    into.clear();
+    if into.capacity() < from.len() {
+        let more = if into.capacity() == 0 { 0 } else { from.len() / 16 };
+        into.reserve_exact(from.len() + more);
+    }
+    into.extend(from);
+}
+
+/// The neighbours of some consecutive slots, as they are written.
+#[derive(Clone, Debug, Default)]
+pub struct Draft {
+    /// First of the slots.
+    pub first: usize,
+    /// Where each slot's neighbours start in `index`; one more at the end.
+    start: Vec<u32>,
+    /// Slots, filled up to whole eights with the slot of nobody, `N`.
+    index: Vec<u32>,
+    /// How much of `index` is filled.
+    filled: usize,
+    /// Of each slot, whether some neighbour may be across the seam of the box.
+    seam: Vec<bool>,
+}
+
+impl Draft {
+    /// Number of slots.
+    pub fn len(&self) -> usize {
+        self.start.len().saturating_sub(1)
+    }
+
+    /// Whether there are no slots.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The neighbours of the `k`-th slot, eight at a time.
+    #[inline(always)]
+    pub fn neighbours(&self, k: usize) -> &[[u32; WIDTH]] {
+        self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
+    }
+
+    /// Forgets all lists.
+    pub fn clear(&mut self) {
+        self.start.clear();
+        self.start.push(0);
+        self.seam.clear();
+        self.filled = 0;
+    }
+
+    /// Begins the list of a slot, of at most so many candidates: where it goes.
+    #[inline(always)]
+    pub fn open(&mut self, candidates: usize) -> &mut [u32] {
+        self.make_room(self.filled + candidates + 4 * WIDTH);
+        &mut self.index[self.filled..]
+    }
+
+    /// Adds the slots that were written to the front of what [`Self::open`] returned.
+    #[inline(always)]
+    pub fn fill(&mut self, slots: usize) {
+        self.filled += slots;
+    }
+
+    /// How many slots all lists together have room for.
+    pub fn room(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Makes room for so many slots in all lists, and for the lists of [`CHUNK`] slots.
+    #[inline(always)]
+    pub fn make_room(&mut self, slots: usize) {
+        if self.index.len() < slots {
+            self.index.resize(slots, 0);
+            self.start.reserve((CHUNK + 1).saturating_sub(self.start.len()));
+            self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
+        }
+    }
+
+    /// Ends the list of a slot, with the slot of nobody up to whole eights; `seam` says whether a neighbour
+    /// may be across the seam of the box, while the list is used.
+    #[inline(always)]
+    pub fn close(&mut self, nobody: usize, seam: bool) {
+        self.seam.push(seam);
+        let whole = self.filled.next_multiple_of(WIDTH);
+        self.index[self.filled..whole].fill(nobody as u32);
+        self.filled = whole;
+        self.start.push(whole as u32);
+    }
+
+    /// Ends all lists.
+    pub fn finish(&mut self) {
+        self.index.truncate(self.filled);
+    }
+
+    /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
+    /// made room for.
+    #[inline(always)]
+    pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
+        if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
+            W::compress(mask, first as u32, kept);
+        }
+        self.filled += mask.count_ones() as usize;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lists of two slots from `first` on, the second without the first's first neighbour.
+    fn draft(first: usize, slots: &[u32], filler: usize) -> Draft {
+        let mut draft = Draft::default();
+        draft.clear();
+        draft.first = first;
+        for slots in [slots, &slots[1..]] {
+            draft.open(slots.len())[..slots.len()].copy_from_slice(slots);
+            draft.fill(slots.len());
+            draft.close(filler, false);
+        }
+        draft
+    }
+
+    #[test]
+    fn lists_are_kept_as_they_were_written_near_and_far() {
+        let million = 1_000_000;
+        let near: Vec<u32> = (480_000..480_011).chain(520_000..520_006).collect();
+        let mut chunk = Chunk::default();
+        for (first, particles, slots, filler, bytes) in [
+            (256, 65_535, &[0, 17, 300, 65_534][..], 65_535, 2),
+            (0, 65_536, &[0, 300, 65_535], 5, 2),
+            (0, 65_536, &[0, 300, 65_535], 65_536, 4),
+            (65_280, 65_536, &[1, 300, 65_535], 65_536, 2),
+            (500_000, million, &near[..], 500_300, 2),
+            (500_000, million, &near[..], million, 4),
+            (999_744, million, &[934_465, 999_999], million, 2),
+            (999_744, million, &[934_464, 999_999], million, 4),
+            (0, million, &[3, 7, 500_000, 999_999], 5000, 4),
+            (512, million, &[5], 5000, 2),
+        ] {
+            let draft = draft(first, slots, filler);
+            chunk.copy_from(&draft, particles);
+            let written: Vec<u32> =
+                (0..2).flat_map(|k| draft.neighbours(k)).flatten().copied().collect();
+            fn kept<E: Entry>(chunk: &Chunk) -> Vec<u32> {
+                let of = |k| chunk.neighbours::<E>(k).flat_map(|eight| eight.slots());
+                (0..2).flat_map(of).collect()
+            }
+            let kept = if chunk.is_near() { kept::<u16>(&chunk) } else { kept::<u32>(&chunk) };
+            assert_eq!(kept, written, "{first} of {particles}: {slots:?}");
+            assert!(chunk.slots().eq(written.iter().map(|&slot| slot as usize)), "{slots:?}");
+            assert!(chunk.slots_of(1).eq(chunk.slots().skip(8 * draft.neighbours(0).len())));
+            assert_eq!(chunk.is_near(), bytes == 2, "{first} of {particles}: {slots:?}, {filler}");
+            assert_eq!(
+                [chunk.range(0).len(), chunk.batches()],
+                [draft.neighbours(0).len(), written.len() / WIDTH]
+            );
+        }
+    }
+}
