@@ -57,24 +57,22 @@ pub fn internal_energy(rho: f64, c: f64, gamma: f64) -> f64 {
 }
 
 /// `Σ e(ρ)` over particles; where `γ` is a whole number the powers are products, eight at once.
-pub(crate) fn internal_energies(rho: impl Iterator<Item = f64>, c: f64, gamma: f64) -> f64 {
+pub(crate) fn internal_energies(mut rho: impl Iterator<Item = f64>, c: f64, gamma: f64) -> f64 {
     let Some(exponent) = whole(gamma - 1.0).filter(|&exponent| exponent > 0) else {
         return rho.map(|rho| internal_energy(rho, c, gamma)).sum();
     };
     let compression = f64::from(exponent);
     let energy =
         |rho: Lanes| (power(rho, exponent) - 1.0) / compression + (Lanes::of(1.0) / rho - 1.0);
-    let (mut sum, mut lanes, mut filled) = (Lanes::ZERO, Lanes::of(1.0), 0);
-    for rho in rho {
-        lanes.set_lane(filled, rho);
-        filled = (filled + 1) % WIDTH;
-        if filled == 0 {
-            sum += energy(lanes);
-            lanes = Lanes::of(1.0);
-        }
+    let mut sum = Lanes::ZERO;
+    while let Some(first) = rho.next() {
+        // Lanes that nobody fills are at `ρ₀`, where the energy is zero.
+        let mut lanes = [1.0; WIDTH];
+        lanes[0] = first;
+        lanes[1..].iter_mut().zip(&mut rho).for_each(|(lane, rho)| *lane = rho);
+        sum += energy(Lanes::new(lanes));
     }
-    // Lanes that nobody filled are at `ρ₀`, where the energy is zero.
-    c * c / gamma * (sum + energy(lanes)).sum()
+    c * c / gamma * sum.sum()
 }
 
 /// The largest power that is taken by products.

@@ -349,6 +349,30 @@ fn two_dimensional_frames_have_z_zero() {
 }
 
 #[test]
+fn only_two_dimensional_recordings_are_compressed_for_only_they_have_zeros_to_leave_out() {
+    let folder = folder();
+    let count = 1000;
+    for (dimension, compression) in [(2, "zstd"), (3, "")] {
+        let path = folder.path().join(format!("{dimension}.mcap"));
+        let mut recorder = Recorder::create(&path, &run(dimension)).unwrap();
+        let mut whole = frame(3, count);
+        for row in whole.positions.iter_mut().chain(&mut whole.velocities) {
+            row[2] = if dimension == 2 { 0.0 } else { row[2] };
+        }
+        recorder.frame(Flow::Truth, whole.clone()).unwrap();
+        recorder.finish().unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let chunks = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
+        assert!(chunks.iter().all(|chunk| chunk.compression == compression), "{dimension}D");
+        let frame = chunks.iter().map(|chunk| chunk.compressed_size).max().unwrap() as usize;
+        assert_eq!(frame < 60 * count, dimension == 2, "{frame} bytes in {dimension}D");
+        let recording = Recording::open(&path).unwrap();
+        let read = recording.frame(Flow::Truth, 0).unwrap();
+        assert_eq!(frame_bits(&read), frame_bits(&whole), "{dimension}D");
+    }
+}
+
+#[test]
 fn a_cloud_of_any_columns_comes_back_on_its_topic() {
     let folder = folder();
     let path = folder.path().join("cloud.mcap");

@@ -86,10 +86,10 @@ fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
     Flow::with_law(request)
 }
 
-/// Runs a schedule on a thread of the pool: its parallel loops then begin at once, where each would
+/// Runs a schedule, or many, on a thread of the pool: parallel loops then begin at once, where each would
 /// otherwise wake a thread of the pool and wait for it.
-fn in_pool(run: impl FnOnce() + Send) {
-    rayon::scope(|_| run());
+pub(crate) fn in_pool<T: Send>(run: impl FnOnce() -> T + Send) -> T {
+    rayon::scope(|_| run())
 }
 
 impl<const D: usize> Flow<D> {

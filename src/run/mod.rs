@@ -16,7 +16,7 @@ pub use training::{
 };
 
 use crate::error::{Error, Result};
-use crate::flow::{Flow, Rows, State};
+use crate::flow::{Flow, Rows, State, in_pool};
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
 use crate::scene::{Record, Scene};
 use crate::statistics;
@@ -104,7 +104,7 @@ fn record_now<const D: usize>(
 }
 
 /// Runs a flow for `steps`, records the states that `record` keeps on one topic, and calls `after`
-/// behind each step. A flow that diverges leaves its last state and the reason in the recording.
+/// behind each step, on a thread of the pool. A flow that diverges leaves its last state and the reason in the recording.
 ///
 /// # Errors
 /// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
@@ -112,28 +112,32 @@ pub fn run_recorded<const D: usize>(
     flow: &mut Flow<D>,
     (steps, record): (u64, &Record),
     (mut recorder, topic): (Option<&mut Recorder>, recording::Flow),
-    after: &mut dyn FnMut(&Flow<D>),
+    after: &mut (dyn FnMut(&Flow<D>) + Send),
 ) -> Result<()> {
     let mut keep = |flow: &Flow<D>| match &mut recorder {
         Some(recorder) if record.keeps(flow.steps()) => {
             let by_system = record.splits_momentum(flow.steps());
-            // On a thread of the pool, as steps are: parallel loops then begin at once.
-            rayon::scope(|_| record_now(recorder, topic, (flow, by_system)))
+            record_now(recorder, topic, (flow, by_system))
         }
         _ => Ok(()),
     };
-    let mut outcome = flow.start();
-    if outcome.is_ok() {
-        keep(flow)?;
-    }
-    for _ in 0..steps {
-        if outcome.is_err() {
-            break;
+    // All of it on a thread of the pool: a hand-over between two steps would wait for the core that the
+    // recorder's thread is on.
+    let outcome = in_pool(|| -> Result<Result<()>> {
+        let mut outcome = flow.start();
+        if outcome.is_ok() {
+            keep(flow)?;
         }
-        outcome = flow.step();
-        keep(flow)?;
-        after(flow);
-    }
+        for _ in 0..steps {
+            if outcome.is_err() {
+                break;
+            }
+            outcome = flow.step();
+            keep(flow)?;
+            after(flow);
+        }
+        Ok(outcome)
+    })?;
     if let (Err(error), Some(recorder)) = (&outcome, &mut recorder) {
         recorder.log(Level::Error, flow.time(), error.to_string())?;
     }
