@@ -1,7 +1,7 @@
 //! Eight neighbours at once: lists of neighbours, and how every pair loop reads them.
 
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
-use crate::scalar::{Precision, Scalar, WIDTH, Wide};
+use crate::scalar::{Pass, Precision, Scalar, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -113,6 +113,15 @@ impl Chunk {
         self.start.push(whole as u32);
     }
 
+    /// Becomes the lists of `all` without those that are not in the masks of their eights.
+    pub fn sift(&mut self, all: &Self, masks: &[u8], nobody: usize) {
+        self.first = all.first;
+        self.start.clone_from(&all.start);
+        self.seam.clone_from(&all.seam);
+        self.index.resize(all.index.len() + WIDTH, 0);
+        dispatch(Sift { all, masks, nobody, near: self });
+    }
+
     /// Ends all lists.
     pub fn finish(&mut self) {
         self.index.truncate(self.filled);
@@ -121,6 +130,13 @@ impl Chunk {
     /// Number of eights in all lists.
     pub fn batches(&self) -> usize {
         self.index.len() / WIDTH
+    }
+
+    /// Makes masks for [`Self::batches`] eights.
+    pub fn make_masks(&self, masks: &mut Vec<u8>) {
+        masks.clear();
+        masks.reserve_exact(self.batches());
+        masks.resize(self.batches(), 0);
     }
 
     /// Place of the `k`-th slot's first eight among [`Self::batches`].
@@ -172,6 +188,36 @@ impl Chunk {
             W::compress(mask, first as u32, kept);
         }
         self.filled += mask.count_ones() as usize;
+    }
+}
+
+/// Copies the lists of a chunk as far as they are in masks.
+struct Sift<'a> {
+    all: &'a Chunk,
+    masks: &'a [u8],
+    nobody: usize,
+    near: &'a mut Chunk,
+}
+
+impl Pass for Sift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        let Self { all, masks, nobody, near: Chunk { start, index, .. } } = self;
+        let (nobody, mut filled) = ([nobody as u32; WIDTH], 0);
+        for (k, end) in start.iter_mut().skip(1).enumerate() {
+            let first = all.first_batch(k);
+            for (slots, &mask) in all.neighbours(k).iter().zip(&masks[first..]) {
+                if let Some(kept) = index[filled..].first_chunk_mut() {
+                    W::keep_slots(mask, slots, kept);
+                }
+                filled += mask.count_ones() as usize;
+            }
+            index[filled..filled + WIDTH].copy_from_slice(&nobody);
+            filled = filled.next_multiple_of(WIDTH);
+            *end = filled as u32;
+        }
     }
 }
 

@@ -86,10 +86,10 @@ fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
     Flow::with_law(request)
 }
 
-/// Runs a schedule on a thread of the pool: its parallel loops then begin at once, where each would
-/// otherwise wake a thread of the pool and wait for it.
-fn in_pool(run: impl FnOnce() + Send) {
-    rayon::scope(|_| run());
+/// Runs one schedule, or many, on a thread of the pool: their parallel loops then begin at once, where each
+/// would otherwise wake a thread of the pool and wait for it.
+pub(crate) fn in_pool<R: Send>(run: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| run())
 }
 
 impl<const D: usize> Flow<D> {
