@@ -139,6 +139,11 @@ impl Chunk {
         masks.resize(self.batches(), 0);
     }
 
+    /// Most masks that there have been, or room for more.
+    pub fn most_masks(&self) -> usize {
+        self.index.capacity() / WIDTH
+    }
+
     /// Place of the `k`-th slot's first eight among [`Self::batches`].
     #[inline(always)]
     pub fn first_batch(&self, k: usize) -> usize {

@@ -129,7 +129,7 @@ impl<const D: usize> Run<'_, D> {
     /// Bytes of the neighbour lists as they stand, and of the masks of who is near, chunk by chunk.
     fn lists(&self) -> Vec<usize> {
         let neighbours = self.flow.world().resource::<Neighbours<D>>();
-        neighbours.chunks.iter().map(|chunk| chunk.bytes() + chunk.batches()).collect()
+        neighbours.chunks.iter().map(|chunk| chunk.bytes() + chunk.most_masks()).collect()
     }
 
     /// Most bytes that one step adds to the tape, at the end of a way forward that began with `lists`:
