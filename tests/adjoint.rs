@@ -123,7 +123,7 @@ fn checkpoints_give_the_bits_of_full_storage() {
 fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
     let loss = Weights { trajectory: 1.0, field: 1.0, kl: 0.0 };
     for precision in Precision::ALL {
-        let mut scene = scene(3, Step::Paper, "paper", loss.clone());
+        let mut scene = scene(3, Step::Paper, "paper", loss);
         scene.precision = precision;
         let learn = scene.learn.clone().unwrap();
         let truth = Truth::<3>::generate(&scene, (learn.after, learn.frames)).unwrap();
