@@ -1,7 +1,7 @@
 //! Lists of neighbours, eight at a time: as they are written, and as they are kept.
 
 use crate::pairs::{Surroundings, pick};
-use crate::scalar::{WIDTH, Wide};
+use crate::scalar::{Pass, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
@@ -145,6 +145,18 @@ impl Chunk {
         self.near.len() + self.whole.len()
     }
 
+    /// Makes masks for [`Self::batches`] eights.
+    pub fn make_masks(&self, masks: &mut Vec<u8>) {
+        masks.clear();
+        masks.reserve_exact(self.batches());
+        masks.resize(self.batches(), 0);
+    }
+
+    /// Most masks that there have been, or room for more.
+    pub fn most_masks(&self) -> usize {
+        self.near.capacity().max(self.whole.capacity())
+    }
+
     /// Where the `k`-th slot's eights are among [`Self::batches`].
     #[inline(always)]
     pub fn range(&self, k: usize) -> std::ops::Range<usize> {
@@ -215,6 +227,56 @@ impl Chunk {
             near
         };
         renew(&mut self.near, eights.iter().map(near));
+    }
+}
+
+impl Chunk {
+    /// Becomes the lists of `all` without those that are not in the masks of their eights, in whole slots.
+    pub fn sift(&mut self, all: &Self, masks: &[u8], nobody: usize) {
+        self.first = all.first;
+        self.base = 0;
+        self.start.clone_from(&all.start);
+        self.seam.clone_from(&all.seam);
+        self.near.clear();
+        self.whole.resize(all.batches() + 1, [0; WIDTH]);
+        dispatch(Sift { all, masks, nobody, sifted: self });
+    }
+}
+
+/// Copies the lists of a chunk as far as they are in masks.
+struct Sift<'a> {
+    all: &'a Chunk,
+    masks: &'a [u8],
+    nobody: usize,
+    sifted: &'a mut Chunk,
+}
+
+impl Pass for Sift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        if self.all.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+    }
+}
+
+impl Sift<'_> {
+    #[inline(always)]
+    fn sweep<W: Wide, E: Entry>(self) {
+        let Self { all, masks, nobody, sifted: Chunk { start, whole, .. } } = self;
+        let (index, nobody) = (whole.as_flattened_mut(), [nobody as u32; WIDTH]);
+        let mut filled = 0;
+        for (k, end) in start.iter_mut().skip(1).enumerate() {
+            for (eight, &mask) in all.neighbours::<E>(k).zip(&masks[all.range(k)]) {
+                if let Some(kept) = index[filled..].first_chunk_mut() {
+                    W::keep_slots(mask, &eight.slots(), kept);
+                }
+                filled += mask.count_ones() as usize;
+            }
+            index[filled..filled + WIDTH].copy_from_slice(&nobody);
+            filled = filled.next_multiple_of(WIDTH);
+            *end = (filled / WIDTH) as u32;
+        }
     }
 }
 

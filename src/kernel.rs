@@ -213,7 +213,8 @@ impl Kernel for KernelName {
 pub struct Smoothing<K, const D: usize> {
     /// Smoothing length `h`; the support is `2h`.
     pub h: f64,
-    inverse_h: f64,
+    /// `1/h`.
+    pub inverse_h: f64,
     scale: f64,
     shape: K,
 }

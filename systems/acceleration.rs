@@ -135,13 +135,15 @@ pub fn accelerate_pullback<const D: usize>(
     let one_way = model.passes_to_neighbours();
     let count = adjoint.parameters.len();
     adjoint.sum_parameters(count, |adjoint, sums| {
-        let AdjointCloud { packed: lines, position, velocity, scalars, shares, .. } = adjoint;
+        let AdjointCloud { packed: lines, position, velocity, scalars, shares, near, .. } = adjoint;
         shares.resize_with(neighbours.chunks.len(), Vec::new);
         let forces: &[PackedAdjoint] = lines;
         let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
         let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(shares);
         let places = places.zip(sums.par_chunks_mut(count));
-        neighbours.chunks.par_iter().zip(places).for_each(|(chunk, (place, sums))| {
+        // Who leaves shares for neighbours leaves them by the places of all that are listed.
+        let chunks = if one_way { &neighbours.chunks[..] } else { near };
+        chunks.par_iter().zip(places).for_each(|(chunk, (place, sums))| {
             let (((position, velocity), scalars), neighbours) = place;
             let places = if one_way { WIDTH * chunk.batches() } else { 0 };
             neighbours.resize(places, PairShare::ZERO);

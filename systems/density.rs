@@ -9,20 +9,22 @@ use super::particles::{
 use crate::cells::FEWEST;
 use crate::models::{Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{AHEAD, CHUNK, Entry, Hood, Lines, adjoints, separation};
+use crate::pairs::{AHEAD, CHUNK, Entry, Hood, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles.
-struct DensityPass<'a, const D: usize> {
+/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles; and, where `NEAR`, which of the
+/// listed pairs have a share in it: a mask for each eight.
+struct DensityPass<'a, const NEAR: bool, const D: usize> {
     hood: Hood<'a>,
     medium: &'a Medium<D>,
     density: &'a mut [f64],
+    near: &'a mut [u8],
 }
 
-impl<const D: usize> Pass for DensityPass<'_, D> {
+impl<const NEAR: bool, const D: usize> Pass for DensityPass<'_, NEAR, D> {
     type Output = ();
 
     #[inline(always)]
@@ -31,7 +33,7 @@ impl<const D: usize> Pass for DensityPass<'_, D> {
     }
 }
 
-impl<const D: usize> DensityPass<'_, D> {
+impl<const NEAR: bool, const D: usize> DensityPass<'_, NEAR, D> {
     #[inline(always)]
     fn sweep<W: Wide, E: Entry>(self) {
         let Hood { lines, chunk, space } = self.hood;
@@ -42,9 +44,14 @@ impl<const D: usize> DensityPass<'_, D> {
             chunk.fetch_ahead::<W, E>(k + AHEAD, all);
             let mut sum = W::Double::of(0.0);
             let space = chunk.around(k, space);
-            for eight in chunk.neighbours::<E>(k) {
+            let first = chunk.range(k).start;
+            for (number, eight) in chunk.neighbours::<E>(k).enumerate() {
                 let r = separation::<W, D>(lines, chunk.first + k, eight, space);
-                sum += smoothing.value(r.norm_squared().sqrt()).widen();
+                let weight = smoothing.value(r.norm_squared().sqrt());
+                if NEAR {
+                    self.near[first + number] = weight.positive();
+                }
+                sum += weight.widen();
             }
             *density = self.medium.mass * (own + sum.sum());
         }
@@ -56,13 +63,30 @@ pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
+    adjoint: Option<ResMut<AdjointCloud<D>>>,
 ) {
     let (lines, density) = cloud.lines_and_density();
-    neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).for_each(|(chunk, density)| {
-        let hood = Hood { lines, chunk, space: neighbours.space };
-        let pass = DensityPass { hood, medium: law.0.medium(), density };
-        dispatch_in(lines.precision, pass);
-    });
+    let (space, medium) = (neighbours.space, law.0.medium());
+    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK));
+    match adjoint {
+        None => chunks.for_each(|(chunk, density)| {
+            let hood = Hood { lines, chunk, space };
+            let pass = DensityPass::<false, D> { hood, medium, density, near: &mut [] };
+            dispatch_in(lines.precision, pass);
+        }),
+        Some(mut adjoint) => {
+            adjoint.sifted = None;
+            adjoint.masks.resize_with(neighbours.chunks.len(), Vec::new);
+            chunks.zip(&mut adjoint.masks).for_each(|((chunk, density), near)| {
+                chunk.make_masks(near);
+                let hood = Hood { lines, chunk, space };
+                dispatch_in(
+                    lines.precision,
+                    DensityPass::<true, D> { hood, medium, density, near },
+                );
+            });
+        }
+    }
     let Cloud { packed, singles, density, .. } = &mut *cloud;
     let count = density.len();
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
@@ -216,8 +240,12 @@ pub fn sum_density_pullback<const D: usize>(
             });
         });
     });
-    let AdjointCloud { packed: lines, position, .. } = &mut *adjoint;
-    pull_density_back(&neighbours, model.medium(), (cloud.lines(), lines), position);
+    let AdjointCloud { packed: by_density, position, near, .. } = &mut *adjoint;
+    let (lines, adjoint, medium) = (cloud.lines(), &by_density[..], model.medium());
+    near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(chunk, position)| {
+        let hood = Hood { lines, chunk, space: neighbours.space };
+        dispatch_in(lines.precision, DensityPullback { hood, adjoint, medium, position });
+    });
 }
 
 /// System: in place of [`sum_density_pullback`] where the forces took the densities of an earlier
@@ -255,18 +283,4 @@ fn pull_stress_back<const D: usize>(
             line.density = scalar.1 + by_density.lane(lane);
         }
     }
-}
-
-/// Adds to `∂L/∂r` what `∂L/∂ρ` makes of it, in cell order.
-fn pull_density_back<const D: usize>(
-    neighbours: &Neighbours<D>,
-    medium: &Medium<D>,
-    (lines, adjoint): (Lines<'_>, &[PackedAdjoint]),
-    position: &mut [Vector<f64, D>],
-) {
-    let chunks = neighbours.chunks.par_iter().zip(position.par_chunks_mut(CHUNK));
-    chunks.for_each(|(chunk, position)| {
-        let hood = Hood { lines, chunk, space: neighbours.space };
-        dispatch_in(lines.precision, DensityPullback { hood, adjoint, medium, position });
-    });
 }

@@ -5,7 +5,7 @@ use super::density_tangent::Pulls;
 use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room, Slopes};
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
-use crate::pairs::{CHUNK, Lines};
+use crate::pairs::{CHUNK, Chunk, Lines};
 use crate::scalar::{Lanes, Precision};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
@@ -110,6 +110,12 @@ pub struct AdjointCloud<const D: usize> {
     pub carried: Vec<(f64, f64)>,
     /// `(∂L/∂A, ∂L/∂ρ)` per slot: what was carried here, and what comes through the forces.
     pub scalars: Vec<(f64, f64)>,
+    /// Which listed pairs are within the support, chunk by chunk: a mask for each eight.
+    pub masks: Vec<Vec<u8>>,
+    /// The lists without the others.
+    pub near: Vec<Chunk>,
+    /// The step whose positions those belong to, if they may be used.
+    pub sifted: Option<u64>,
     /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
     pub shares: Vec<Vec<PairShare<D>>>,
     /// Where each particle finds what was left for it.
@@ -121,6 +127,13 @@ pub struct AdjointCloud<const D: usize> {
 }
 
 impl<const D: usize> AdjointCloud<D> {
+    /// Finds the lists of who is near, of so many particles.
+    pub(super) fn sift(&mut self, lists: &[Chunk], particles: usize) {
+        self.near.resize_with(lists.len(), Chunk::default);
+        let lists = lists.par_iter().zip(&self.masks).zip(&mut self.near);
+        lists.for_each(|((all, masks), near)| near.sift(all, masks, particles));
+    }
+
     /// Adds to the first `count` parameters the sums that `write` finds for each chunk of particles,
     /// `count` numbers a chunk.
     pub(super) fn sum_parameters(

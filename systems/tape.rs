@@ -18,6 +18,8 @@ pub struct Evaluation {
     packed: Vec<Packed>,
     slot_of_row: Vec<u32>,
     chunks: Arc<Vec<Chunk>>,
+    /// Which of them are within the support; see [`AdjointCloud::masks`].
+    masks: Vec<Vec<u8>>,
     /// Step whose positions these are.
     step: u64,
 }
@@ -25,7 +27,8 @@ pub struct Evaluation {
 impl Evaluation {
     /// Bytes held, lists apart.
     fn bytes(&self) -> usize {
-        64 * self.packed.len() + 4 * self.slot_of_row.len()
+        let masks: usize = self.masks.iter().map(Vec::len).sum();
+        64 * self.packed.len() + 4 * self.slot_of_row.len() + masks
     }
 }
 
@@ -92,10 +95,16 @@ impl<const D: usize> Tape<D> {
     }
 
     /// Keeps a force evaluation.
-    fn push(&mut self, cloud: &Cloud<D>, chunks: &Arc<Vec<Chunk>>, step: u64) {
+    fn push(
+        &mut self,
+        cloud: &Cloud<D>,
+        (chunks, masks): (&Arc<Vec<Chunk>>, &Vec<Vec<u8>>),
+        step: u64,
+    ) {
         let mut evaluation = self.spare.0.pop().unwrap_or_default();
         evaluation.packed.clone_from(&cloud.packed);
         evaluation.slot_of_row.clone_from(&cloud.slot_of_row);
+        evaluation.masks.clone_from(masks);
         (evaluation.chunks, evaluation.step) = (Arc::clone(chunks), step);
         self.evaluations.push(evaluation);
     }
@@ -148,10 +157,11 @@ impl<const D: usize> Tape<D> {
 pub fn record_evaluation<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (clock, cloud): (Res<Clock>, Res<Cloud<D>>),
+    adjoint: Res<AdjointCloud<D>>,
     mut tape: ResMut<Tape<D>>,
 ) {
     if tape.running {
-        tape.push(&cloud, &neighbours.chunks, clock.evaluated);
+        tape.push(&cloud, (&neighbours.chunks, &adjoint.masks), clock.evaluated);
     }
 }
 
@@ -166,11 +176,17 @@ pub fn rewind_evaluation<const D: usize>(
     let count = evaluation.slot_of_row.len();
     std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
     std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
+    std::mem::swap(&mut adjoint.masks, &mut evaluation.masks);
     neighbours.chunks = std::mem::take(&mut evaluation.chunks);
     // They are older than the cells: whoever goes forward from here builds both anew.
     neighbours.invalidate();
     cloud.round(neighbours.space);
     clock.evaluated = evaluation.step;
+    // The forces that begin a step see the pairs of those that ended the one before.
+    if adjoint.sifted != Some(evaluation.step) {
+        adjoint.sift(&neighbours.chunks, count);
+        adjoint.sifted = Some(evaluation.step);
+    }
     tape.discard(evaluation);
     adjoint.packed.clear();
     adjoint.packed.resize(count + 1, PackedAdjoint::ZERO);

@@ -6,8 +6,11 @@
 use whirls::flow::{Differentiation, Flow, Snapshot};
 use whirls::learn::Learner;
 use whirls::models::Parameter;
+use whirls::scalar::Precision;
 use whirls::scene::{Optimiser, Scene, Weights};
 use whirls::sensitivity::{AdjointGradient, Coupling, Gradient, Storage, adjoint_gradient};
+use whirls::systems::neighbours::Neighbours;
+use whirls::systems::particles::{AdjointCloud, Cloud};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 
@@ -112,6 +115,37 @@ fn checkpoints_give_the_bits_of_full_storage() {
             let (_, few, _) = both::<3>(&scene, Storage::Checkpoints(snapshots));
             assert_eq!(everything.map(f64::to_bits), few.map(f64::to_bits), "{step:?} {snapshots}");
         }
+    }
+}
+
+/// In lists of three eights and more, built for farther than anybody reaches.
+#[test]
+fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
+    let loss = Weights { trajectory: 1.0, field: 1.0, kl: 0.0 };
+    for precision in Precision::ALL {
+        let mut scene = scene(3, Step::Paper, "paper", loss);
+        scene.precision = precision;
+        let learn = scene.learn.clone().unwrap();
+        let truth = Truth::<3>::generate(&scene, (learn.after, learn.frames)).unwrap();
+        let (start, observations) = (&truth.states[0], truth.observations(&scene, &learn).unwrap());
+        let mut flow = Flow::<3>::with_adjoint(&scene, start, observations).unwrap();
+        adjoint_gradient(&mut flow, start, learn.frames as u64, Storage::All).unwrap();
+        let cloud = flow.world().resource::<Cloud<3>>();
+        let neighbours = flow.world().resource::<Neighbours<3>>();
+        let adjoint = flow.world().resource::<AdjointCloud<3>>();
+        let met = adjoint.near.iter().zip(&neighbours.chunks[..]).map(|(near, all)| {
+            let within = |k: usize| {
+                let lists = [near, all].map(|chunk| chunk.slots_of(k).filter(|&j| j < 512));
+                let [near, all] = lists.map(Vec::from_iter);
+                assert!(near.iter().all(|j| all.contains(j)));
+                near.len() as u64
+            };
+            (0..near.len()).map(within).sum::<u64>()
+        });
+        let (met, listed) =
+            (met.sum::<u64>(), neighbours.chunks.iter().map(|all| all.slots().len()));
+        assert_eq!(met, neighbours.pairs(cloud), "{}", precision.name());
+        assert!(met * 5 < 4 * listed.sum::<usize>() as u64);
     }
 }
 

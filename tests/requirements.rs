@@ -233,6 +233,10 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     // All parameters of the model, a chunk of particles.
     let sums = [5.0, 2000.0].map(|parameters| 8.0 * parameters / CHUNK as f64);
     all.push(("adjoint", "sums".to_owned(), sums));
+    // A bit for each listed pair.
+    let [least, most] = lists(scene).0;
+    all.push(("adjoint", "masks".to_owned(), [least / 32.0, most / 32.0]));
+    all.push(("adjoint", "lists of who is near".to_owned(), [least, most + 1.0]));
     if shares {
         let each = 64.0 * (2.0 * scene.dimension as f64 + 2.0);
         let ([least, _], most) = lists(scene);
@@ -332,6 +336,7 @@ fn columns_of_a_gradient(
     let each_step = vec![
         exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)),
         ("tape, a step", lists, [2.0 * least, 2.0 * most]),
+        ("tape, a step", "who is near in each evaluation".to_owned(), [least / 16.0, most / 16.0]),
         exactly("tape, a step", "loss by each observed state", 2.0 * vector + 8.0),
     ];
     (held, each_step)

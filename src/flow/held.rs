@@ -100,11 +100,13 @@ impl<const D: usize> Flow<D> {
         let cloud = self.world.resource::<Cloud<D>>();
         let chunks = &self.world.resource::<Neighbours<D>>().chunks;
         let lists: usize = chunks.iter().map(Chunk::bytes).sum();
+        let near: usize = chunks.iter().map(Chunk::batches).sum();
         let lines = size_of_val(cloud.packed.as_slice()) + size_of_val(&cloud.slot_of_row[..]);
         let tape = |name: &str, bytes: f64| Held::new("tape, a step", name, bytes);
         let mut all = vec![
             tape("cloud of each evaluation", evaluations * lines as f64 / count),
             tape("lists of each evaluation", evaluations * lists as f64 / count),
+            tape("who is near in each evaluation", evaluations * near as f64 / count),
         ];
         if let Some(observations) = self.world.get_resource::<Observations<D>>() {
             let steps = observations.frames.first().map_or(1, |frame| frame.step.max(1));
@@ -240,6 +242,8 @@ impl<const D: usize> Flow<D> {
             ("scalars", room(&cloud.scalars)),
             ("carried", room(&cloud.carried)),
             ("sums", room(&cloud.sums)),
+            ("masks", cloud.masks.iter().map(room).sum()),
+            ("lists of who is near", cloud.near.iter().map(Chunk::bytes).sum()),
             ("shares", cloud.shares.iter().map(room).sum()),
             ("senders", cloud.senders.bytes()),
         ]

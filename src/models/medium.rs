@@ -128,8 +128,8 @@ impl<const D: usize> Medium<D> {
         let along = force.dot(r);
         let by_stress = along * pull;
         let by_approach = viscous.by_approach * by_stress;
-        let by_separation =
-            total * curvature * (along * -self.mass) + by_approach * viscous.mu * (-2.0 / h);
+        let by_separation = total * curvature * (along * -self.mass)
+            + by_approach * viscous.mu * (-2.0 * self.smoothing.inverse_h);
         let linear = viscous.linear * by_stress;
         let cotangent = PairCotangent {
             separation: force * (total * pull) + r * by_separation + v * by_approach,

@@ -202,6 +202,8 @@ impl<L: PairLaw<D>, const D: usize> PullPass<'_, L, D> {
     #[inline(always)]
     fn sweep<W: Wide, E: Entry>(self) {
         let Self { law, hood: Hood { lines, chunk, space }, forces, room, into } = self;
+        // A copy of its own: numbers that nobody else can write stay in registers.
+        let law = &law.clone();
         let both = law.is_antisymmetric();
         let mut parameters = [W::Double::of(0.0); 3];
         for k in 0..chunk.len() {

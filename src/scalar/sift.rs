@@ -83,6 +83,14 @@ pub(super) fn keep_by_loop(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2
     }
 }
 
+/// [`Wide::keep_slots`] by table.
+#[inline(always)]
+pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
+    for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
+        *kept = slots[usize::from(lane)];
+    }
+}
+
 /// [`Wide::keep_others`] place by place.
 #[inline(always)]
 pub(super) fn keep_others_by_loop(
@@ -114,7 +122,7 @@ pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]
 
 #[cfg(test)]
 mod tests {
-    use crate::scalar::{Pass, Precision, WIDTH, Wide, on_every_instruction_set};
+    use crate::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
 
     /// Everything that sifts sixteen places, over a few columns of them.
     #[derive(Clone)]
@@ -145,6 +153,14 @@ mod tests {
                 let (mut others, mut all) = ([0; 2 * WIDTH], [0; 2 * WIDTH]);
                 let found = W::keep_others(near, slots, slots[first], &mut others);
                 W::compress(maybe, first as u32, &mut all);
+                if let Some(eight) = slots.first_chunk() {
+                    let mut some = [0; WIDTH];
+                    W::keep_slots(mask as u8, eight, &mut some);
+                    numbers.extend(&some[..(mask as u8).count_ones() as usize]);
+                }
+                let mut lanes = Lanes::ZERO;
+                (0..WIDTH).for_each(|l| lanes.set_lane(l, f64::from(columns[0][first + l])));
+                masks.push(u16::from(W::load(&lanes).positive()));
                 numbers.extend(&others[..found]);
                 numbers.extend(&all[..maybe.count_ones() as usize]);
             }

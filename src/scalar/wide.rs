@@ -1,7 +1,8 @@
 //! One source for every instruction set and both precisions.
 
 use super::sift::{
-    compress_in_two, keep_by_loop, keep_others_by_loop, near_box_by_loop, near_by_loop,
+    compress_in_two, keep_by_loop, keep_others_by_loop, keep_slots_by_table, near_box_by_loop,
+    near_by_loop,
 };
 use super::{Lanes, Scalar, WIDTH};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
@@ -104,6 +105,22 @@ pub trait Wide: Scalar {
         limit: f32,
     ) -> u16 {
         near_box_by_loop(columns, around, first, limit)
+    }
+    /// Which lanes are above zero: one bit each, the first lowest.
+    #[inline(always)]
+    fn positive(self) -> u8 {
+        let lanes = self.store().to_array();
+        let mut mask = 0;
+        for (lane, x) in lanes.into_iter().enumerate() {
+            mask |= u8::from(x > 0.0) << lane;
+        }
+        mask
+    }
+    /// Writes those of eight slots that are in a mask, in order, to the front of `kept`; what comes behind
+    /// them is anything. Of doubles only.
+    #[inline(always)]
+    fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
+        keep_slots_by_table(mask, slots, kept);
     }
     /// Writes those of sixteen numbers that are in a mask, in order, to the front of `kept`; what comes
     /// behind them is anything.

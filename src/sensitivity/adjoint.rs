@@ -6,9 +6,9 @@
 //! fewest repetitions. All run the same operations on the same numbers and give the same bits.
 
 use crate::error::{Error, Result};
-use crate::flow::{Flow, Snapshot, State};
+use crate::flow::{Flow, Snapshot, State, in_pool};
 use crate::systems::loss::LossSum;
-use crate::systems::neighbours::{Chunk, Neighbours};
+use crate::systems::neighbours::Neighbours;
 use crate::systems::tape::FrameAdjoint;
 use crate::systems::verlet::Integrator;
 use serde::{Deserialize, Serialize};
@@ -54,14 +54,15 @@ pub fn adjoint_gradient<const D: usize>(
     flow.clear_adjoint();
     let particles = state.positions.len();
     let mut run = Run { flow, steps_run: 0, bytes: 0, particles, held: 0 };
-    let loss = match storage {
-        Storage::All => run.with_everything(steps)?,
-        Storage::Checkpoints(snapshots) => run.with_checkpoints(steps, |_| Ok(snapshots.max(1)))?,
+    // Steps are short: a thread of the pool that were woken for each would cost a thirtieth of all.
+    let loss = in_pool(|| match storage {
+        Storage::All => run.with_everything(steps),
+        Storage::Checkpoints(snapshots) => run.with_checkpoints(steps, |_| Ok(snapshots.max(1))),
         Storage::Bytes(budget) => {
             let snapshot = Snapshot::<D>::BYTES * particles;
-            run.with_checkpoints(steps, |tape| snapshots_within(budget, tape, snapshot))?
+            run.with_checkpoints(steps, |tape| snapshots_within(budget, tape, snapshot))
         }
-    };
+    })?;
     let Run { flow, steps_run, bytes, .. } = run;
     flow.keep_evaluations(false);
     Ok(AdjointGradient { loss, gradient: flow.adjoint_gradient(), steps_run, bytes })
@@ -111,7 +112,7 @@ impl<const D: usize> Run<'_, D> {
         self.flow.keep_evaluations(true);
         self.flow.start()?;
         self.flow.keep_evaluations(false);
-        let (tape, lists) = (self.flow.tape_bytes(), self.list_bytes());
+        let (tape, lists) = (self.flow.tape_bytes(), self.lists());
         let first = self.flow.snapshot();
         self.held = 1;
         self.flow.advance_by(steps)?;
@@ -125,16 +126,16 @@ impl<const D: usize> Run<'_, D> {
         Ok(loss)
     }
 
-    /// Bytes of the neighbour lists as they stand, chunk by chunk.
-    fn list_bytes(&self) -> Vec<usize> {
+    /// Bytes of the neighbour lists as they stand, and of the masks of who is near, chunk by chunk.
+    fn lists(&self) -> Vec<usize> {
         let neighbours = self.flow.world().resource::<Neighbours<D>>();
-        neighbours.chunks.iter().map(Chunk::bytes).collect()
+        neighbours.chunks.iter().map(|chunk| chunk.bytes() + chunk.most_masks()).collect()
     }
 
     /// Most bytes that one step adds to the tape, at the end of a way forward that began with `lists`:
     /// a chunk's list keeps its room on the way, and so has at the end the most that it ever took.
     fn step_bytes(&self, lists: &[usize]) -> usize {
-        let most = self.list_bytes().into_iter().zip(lists).map(|(end, &start)| end.max(start));
+        let most = self.lists().into_iter().zip(lists).map(|(end, &start)| end.max(start));
         let lists: usize = most.sum();
         let evaluation = 64 * (self.particles + 1) + 4 * self.particles + lists;
         let refreshes = self.flow.world().resource::<Integrator>().step.refreshes();

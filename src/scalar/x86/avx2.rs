@@ -100,6 +100,16 @@ unsafe fn front_of(mask: u8, numbers: __m256i) -> __m256i {
     }
 }
 
+/// What is left of [`Wide::sum`] once the upper four lanes were added to the lower.
+#[inline(always)]
+pub(super) unsafe fn sum_of_four(four: __m256d) -> f64 {
+    unsafe {
+        let (low, high) = (_mm256_castpd256_pd128(four), _mm256_extractf128_pd::<1>(four));
+        let two = _mm_add_pd(low, high);
+        _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)))
+    }
+}
+
 impl Wide for Lanes256 {
     wide_doubles!();
 
@@ -181,6 +191,28 @@ impl Wide for Lanes256 {
             }
         }
         mask
+    }
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        unsafe { sum_of_four(_mm256_add_pd(self.0[0], self.0[1])) }
+    }
+    #[inline(always)]
+    fn positive(self) -> u8 {
+        let mut mask = 0;
+        for half in 0..2 {
+            unsafe {
+                let above = _mm256_cmp_pd::<_CMP_LT_OQ>(_mm256_setzero_pd(), self.0[half]);
+                mask |= (_mm256_movemask_pd(above) as u8) << (4 * half);
+            }
+        }
+        mask
+    }
+    #[inline(always)]
+    fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
+        unsafe {
+            let front = front_of(mask, _mm256_loadu_si256(slots.as_ptr().cast()));
+            _mm256_storeu_si256(kept.as_mut_ptr().cast(), front);
+        }
     }
     #[inline(always)]
     fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {

@@ -2,6 +2,7 @@
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY: see the parent module.
 
+use super::avx2::sum_of_four;
 use super::*;
 use crate::scalar::x86::singles::Doubles;
 
@@ -162,6 +163,26 @@ impl Wide for Lanes512 {
                 square = _mm512_add_ps(square, _mm512_mul_ps(outside, outside));
             }
             _mm512_cmp_ps_mask::<_CMP_LT_OQ>(square, _mm512_set1_ps(limit))
+        }
+    }
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        unsafe {
+            let (low, high) =
+                (_mm512_castpd512_pd256(self.0[0]), _mm512_extractf64x4_pd::<1>(self.0[0]));
+            sum_of_four(_mm256_add_pd(low, high))
+        }
+    }
+    #[inline(always)]
+    fn positive(self) -> u8 {
+        unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(_mm512_setzero_pd(), self.0[0]) }
+    }
+    #[inline(always)]
+    fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
+        unsafe {
+            let slots = _mm256_loadu_si256(slots.as_ptr().cast());
+            let front = _mm256_maskz_compress_epi32(mask, slots);
+            _mm256_storeu_si256(kept.as_mut_ptr().cast(), front);
         }
     }
     #[inline(always)]

@@ -124,4 +124,12 @@ impl<W: Doubles> Singles256<W> {
 
 impl<W: Doubles> Wide for Singles256<W> {
     wide_singles!(W);
+
+    #[inline(always)]
+    fn positive(self) -> u8 {
+        unsafe {
+            let above = _mm256_cmp_ps::<_CMP_LT_OQ>(_mm256_setzero_ps(), self.0[0]);
+            _mm256_movemask_ps(above) as u8
+        }
+    }
 }

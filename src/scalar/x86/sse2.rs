@@ -118,6 +118,18 @@ impl Wide for Lanes128 {
     wide_doubles!();
 
     #[inline(always)]
+    fn positive(self) -> u8 {
+        let mut mask = 0;
+        for pair in 0..4 {
+            unsafe {
+                let above = _mm_cmplt_pd(_mm_setzero_pd(), self.0[pair]);
+                mask |= (_mm_movemask_pd(above) as u8) << (2 * pair);
+            }
+        }
+        mask
+    }
+
+    #[inline(always)]
     fn load(memory: &Lanes) -> Self {
         let memory: *const f64 = std::ptr::from_ref(memory).cast();
         let mut lanes = Self::of(0.0);
@@ -211,4 +223,16 @@ impl Singles128 {
 
 impl Wide for Singles128 {
     wide_singles!(Lanes128);
+
+    #[inline(always)]
+    fn positive(self) -> u8 {
+        let mut mask = 0;
+        for half in 0..2 {
+            unsafe {
+                let above = _mm_cmplt_ps(_mm_setzero_ps(), self.0[half]);
+                mask |= (_mm_movemask_ps(above) as u8) << (4 * half);
+            }
+        }
+        mask
+    }
 }
