@@ -148,14 +148,20 @@ const ENTITY: f64 = 8.0 + 12.0 + 28.0;
 const TICKS: f64 = 8.0;
 
 /// `(the lists, at least and at most; the number of eights in them, at most)` per particle: a list holds who
-/// is within `2h` and the skin, in eights; lists that grew keep a sixteenth in reserve.
-fn lists(scene: &Scene) -> ([f64; 2], f64) {
+/// is within `2h` and the skin, in eights, in so many bytes each; lists that grew keep a sixteenth in reserve.
+fn lists_of(scene: &Scene, bytes: f64) -> ([f64; 2], f64) {
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let volume =
         if scene.dimension == 2 { PI * reach.powi(2) } else { 4.0 / 3.0 * PI * reach.powi(3) };
     let density = scene.particles() as f64 / scene.fluid.box_length.powi(scene.dimension as i32);
     let near = volume * density - 1.0;
-    ([4.0 * near, 1.07 * (4.0 * (near + 8.0) + 5.5)], (near + 8.0) / 8.0)
+    ([bytes * near, 1.07 * (bytes * (near + 8.0) + 5.5)], (near + 8.0) / 8.0)
+}
+
+/// Those of a flow of fewer than 65536 particles: two bytes for each neighbour.
+fn lists(scene: &Scene) -> [f64; 2] {
+    assert!(scene.particles() < 1 << 16, "{}", scene.name);
+    lists_of(scene, 2.0).0
 }
 
 /// Columns of every flow.
@@ -172,7 +178,7 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let cells = (scene.fluid.box_length / reach).floor().powi(scene.dimension as i32);
     let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
-    all.push(("neighbour lists", "lists".to_owned(), lists(scene).0));
+    all.push(("neighbour lists", "lists".to_owned(), lists(scene)));
     all.push(("neighbour lists", "cells".to_owned(), [4.0 + share, 4.0 + 2.5 * share]));
     // By cell in fixed point, half as large as doubles.
     all.push(("neighbour lists", "positions".to_owned(), [0.5 * vector, 0.52 * vector]));
@@ -233,13 +239,13 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     // All parameters of the model, a chunk of particles.
     let sums = [5.0, 2000.0].map(|parameters| 8.0 * parameters / CHUNK as f64);
     all.push(("adjoint", "sums".to_owned(), sums));
-    // A bit for each listed pair.
-    let [least, most] = lists(scene).0;
+    // A bit for each listed pair, and whole slots of those who are near.
+    let [least, most] = lists_of(scene, 4.0).0;
     all.push(("adjoint", "masks".to_owned(), [least / 32.0, most / 32.0]));
     all.push(("adjoint", "lists of who is near".to_owned(), [least, most + 1.0]));
     if shares {
         let each = 64.0 * (2.0 * scene.dimension as f64 + 2.0);
-        let ([least, _], most) = lists(scene);
+        let ([least, _], most) = lists_of(scene, 4.0);
         let bytes = [each * least / 32.0, 2.0 * each * most];
         all.push(("adjoint", "shares".to_owned(), bytes));
         // Two numbers for each pair, and where each particle's begin.
@@ -331,12 +337,17 @@ fn columns_of_a_gradient(
     let all = learn.frames as f64 * found.part("tape, a step").unwrap();
     held.push(exactly("tape", &format!("{} steps", learn.frames), all));
     // The paper's step evaluates twice.
-    let [least, most] = lists(scene).0;
+    let [least, most] = lists(scene);
     let lists = "lists of each evaluation".to_owned();
+    let masks = lists_of(scene, 0.125).0;
     let each_step = vec![
         exactly("tape, a step", "cloud of each evaluation", 2.0 * (64.0 + 4.0)),
         ("tape, a step", lists, [2.0 * least, 2.0 * most]),
-        ("tape, a step", "who is near in each evaluation".to_owned(), [least / 16.0, most / 16.0]),
+        (
+            "tape, a step",
+            "who is near in each evaluation".to_owned(),
+            masks.map(|bytes| 2.0 * bytes),
+        ),
         exactly("tape, a step", "loss by each observed state", 2.0 * vector + 8.0),
     ];
     (held, each_step)
