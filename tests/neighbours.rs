@@ -26,6 +26,7 @@ in_2d_and_3d!(
     lists_are_rebuilt_before_a_skin_is_used_up,
     lists_outlast_a_wind_that_carries_everyone,
     no_list_holds_a_pair_twice,
+    lists_of_more_particles_than_two_bytes_count_lose_nobody,
 );
 
 /// A scene of any particles: only box, smoothing length and skin matter here.
@@ -269,6 +270,44 @@ fn lists_outlast_a_wind_that_carries_everyone<const D: usize>() {
     // Carried 0.17 h or more a step, everyone uses up half a skin in one.
     let rebuilds = flow.world().resource::<Neighbours<D>>().rebuilds;
     assert!(rebuilds <= STEPS as u64 / 2, "{rebuilds} rebuilds");
+}
+
+/// Chunks inside keep two bytes for a neighbour and fill up with somebody far away, those at the seam keep
+/// whole slots: whom they hold, and what comes of it, is the same.
+fn lists_of_more_particles_than_two_bytes_count_lose_nobody<const D: usize>() {
+    const COUNT: usize = 70_000;
+    let (length, skin) = (2.0, 0.2);
+    // Some twenty neighbours.
+    let support = if D == 2 { 0.0095 * length } else { 0.041 * length };
+    let (scene, state) = (scene::<D>(length, support, skin), cloud::<D>(COUNT, length, 5));
+    let (mut flow, space) = (started(&scene, &state), space(&scene));
+    let neighbours = flow.world().resource::<Neighbours<D>>();
+    let kept = |near: bool| neighbours.chunks.iter().filter(|c| c.is_near() == near).count();
+    assert!(kept(true) > 2 * kept(false), "{} of {}", kept(true), neighbours.chunks.len());
+    assert!(kept(false) > 0);
+    let row = |slot: usize| neighbours.cells.row_of_slot[slot] as usize;
+    let reach = support + 0.5 * skin * support;
+    for (number, chunk) in neighbours.chunks.iter().enumerate().step_by(3) {
+        let k = number % chunk.len();
+        let here = state.positions[row(chunk.first + k)];
+        let apart = |row: usize| space.minimum_image(state.positions[row] - here).norm();
+        let within = |&row: &usize| (1e-12..reach).contains(&apart(row));
+        let mut listed: Vec<usize> =
+            chunk.slots_of(k).filter(|&slot| slot < COUNT).map(row).filter(within).collect();
+        listed.sort_unstable();
+        assert_eq!(listed, (0..COUNT).filter(within).collect::<Vec<_>>(), "chunk {number}");
+        // Nobody else but who fills up, and he stays out of reach however long the list is used.
+        let fillers = chunk.slots_of(k).filter(|&slot| slot < COUNT).map(row);
+        let closest = fillers.map(apart).filter(|&r| r >= reach).fold(f64::MAX, f64::min);
+        assert!(closest > 2.0 * reach, "chunk {number}: {closest} is filled up with");
+    }
+    // What was at the seam is inside when all move by half a box.
+    let half = Vector([0.5 * length; D]);
+    let moved: Vec<_> = state.positions.iter().map(|&r| space.wrap(r + half)).collect();
+    let there = started(&scene, &State { positions: moved, ..state.clone() }).accelerations();
+    let here = flow.accelerations();
+    let size = largest(here.iter().map(|a| a.norm()));
+    assert!(farthest(&here, &there) <= 1e-10 * size, "{:e}", farthest(&here, &there) / size);
 }
 
 fn no_list_holds_a_pair_twice<const D: usize>() {
