@@ -174,8 +174,10 @@ impl Chunk {
     }
 
     /// The slots at all places in the lists.
-    pub fn slots(&self) -> impl DoubleEndedIterator<Item = usize> + ExactSizeIterator {
-        (0..WIDTH * self.batches()).map(|place| self.slot(place))
+    pub fn slots(&self) -> impl DoubleEndedIterator<Item = usize> {
+        // One of the two is empty.
+        let near = self.near.as_flattened().iter().map(|entry| self.base + entry.distance());
+        near.chain(self.whole.as_flattened().iter().map(|entry| entry.distance()))
     }
 
     /// The slots of the chunk's `k`-th slot's neighbours.

@@ -210,7 +210,8 @@ impl Senders {
         self.start.truncate(particles + 1);
         self.places.resize(self.start[particles] as usize, [0; 2]);
         for (number, chunk) in lists.iter().enumerate().rev() {
-            for (place, other) in chunk.slots().enumerate().rev() {
+            let places = (0..WIDTH * chunk.batches()).rev();
+            for (place, other) in places.zip(chunk.slots().rev()) {
                 // Filling from the back turns each end into a start.
                 let Some(end) = self.start[1..].get_mut(other) else { continue };
                 *end -= 1;
