@@ -230,9 +230,7 @@ impl Chunk {
         };
         renew(&mut self.near, eights.iter().map(near));
     }
-}
 
-impl Chunk {
     /// Becomes the lists of `all` without those that are not in the masks of their eights, in whole slots.
     pub fn sift(&mut self, all: &Self, masks: &[u8], nobody: usize) {
         self.first = all.first;

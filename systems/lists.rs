@@ -219,6 +219,7 @@ impl<const D: usize> ListPass<'_, D> {
     /// somebody half a box away along the first axis.
     #[inline(always)]
     fn nobody_near(&self, cell: [usize; D], count: usize) -> usize {
+        // Two whole cells lie between them, each wider than the reach.
         if count <= FEW { count } else { self.cells.far_from(cell, 3).unwrap_or(count) }
     }
 

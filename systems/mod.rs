@@ -51,7 +51,7 @@ pub enum Phase {
     Drift,
     /// Who may touch whom at `rᵏ⁺¹`.
     Neighbours,
-    /// Which velocity they see.
+    /// What they see: their positions, and which velocity.
     Visible,
     /// `ρᵏ⁺¹`, Eq. (17).
     Density,

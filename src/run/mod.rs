@@ -104,7 +104,8 @@ fn record_now<const D: usize>(
 }
 
 /// Runs a flow for `steps`, records the states that `record` keeps on one topic, and calls `after`
-/// behind each step, on a thread of the pool. A flow that diverges leaves its last state and the reason in the recording.
+/// behind each step, on a thread of the pool. A flow that diverges leaves its last state and the reason in
+/// the recording.
 ///
 /// # Errors
 /// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
