@@ -68,6 +68,30 @@ fn a_good_scene_is_accepted() {
 }
 
 #[test]
+fn a_scene_without_a_skin_gets_a_quarter_of_a_particle_spacing_whatever_it_is_overridden_with() {
+    let spacing = std::f64::consts::TAU / 8.0;
+    let skin = |overrides: &[&str]| {
+        let overrides: Vec<String> = overrides.iter().map(|&o| o.to_owned()).collect();
+        Scene::parse(GOOD, "small.toml", &overrides).unwrap().time.skin
+    };
+    let usual = |spacings: f64, h: f64| spacings * spacing / h;
+    for (found, expected) in [
+        (skin(&[]), usual(0.24, 0.6)),
+        (skin(&["fluid.smoothing_length=0.7"]), usual(0.24, 0.7)),
+        (skin(&["dimension=2"]), usual(0.2, 0.6)),
+        (
+            open("nn-sum-3d", &["fluid.smoothing_length=0.4"]).unwrap().time.skin,
+            0.24 * spacing / 0.8,
+        ),
+    ] {
+        assert!((found - expected).abs() < 1e-15, "{found}, expected {expected}");
+    }
+    for given in [0.0, 0.2] {
+        assert!((skin(&[&format!("time.skin={given}")]) - given).abs() < 1e-300);
+    }
+}
+
+#[test]
 fn a_misspelt_key_is_refused_with_its_line_and_the_keys_there_are() {
     let text = GOOD.replace("smoothing_length = 0.6", "smoothing = 0.6");
     let message = refusal(&text, &[]);

@@ -99,13 +99,7 @@ impl Scene {
         if let Some(shipped) = SHIPPED.iter().find(|shipped| shipped.name == name_or_path) {
             let Shipped { name, text, overrides: own } = shipped;
             let origin = format!("shipped scene {name}");
-            if own.is_empty() {
-                return Self::parse(text, &origin, overrides);
-            }
-            let own: Vec<String> = own.iter().map(|&own| own.to_owned()).collect();
-            let mut scene = Self::parse(text, &origin, &own)?;
-            scene.name = (*name).to_owned();
-            return Self::parse(&scene.to_toml(), &origin, overrides);
+            return Self::assigned(text, (name, own), (&origin, overrides));
         }
         let path = Path::new(name_or_path);
         let names: Vec<&str> = SHIPPED.iter().map(|shipped| shipped.name).collect();
@@ -123,19 +117,37 @@ impl Scene {
 
     /// A scene from TOML text; `origin` names the text in errors.
     pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Self> {
+        Self::assigned(text, ("", &[]), (origin, overrides))
+    }
+
+    /// The scene of a text under a name, if that is not empty, with what a shipped scene has of its own and
+    /// what the caller says.
+    fn assigned(
+        text: &str,
+        (name, own): (&str, &[&str]),
+        (origin, overrides): (&str, &[String]),
+    ) -> Result<Self> {
         let mut table: Table = toml::from_str(text).map_err(|e| refused(origin, text, &e))?;
-        if overrides.is_empty() {
-            let scene: Self = toml::from_str(text).map_err(|e| refused(origin, text, &e))?;
-            scene.check(origin)?;
-            return Ok(scene);
+        let mut origin = origin.to_owned();
+        let mut text = text.to_owned();
+        if !name.is_empty() && !own.is_empty() {
+            table.insert("name".to_owned(), name.into());
         }
-        for assignment in overrides {
+        for assignment in own.iter().copied().chain(overrides.iter().map(String::as_str)) {
             assign(&mut table, assignment)?;
         }
-        // Written out again, so that an error can quote the line as it now reads.
-        let text = table.to_string();
-        let origin = format!("{origin} with --set {}", overrides.join(" --set "));
-        let scene: Self = toml::from_str(&text).map_err(|e| refused(&origin, &text, &e))?;
+        if !(own.is_empty() && overrides.is_empty()) {
+            // Written out again, so that an error can quote the line as it now reads.
+            text = table.to_string();
+        }
+        if !overrides.is_empty() {
+            origin = format!("{origin} with --set {}", overrides.join(" --set "));
+        }
+        let mut scene: Self = toml::from_str(&text).map_err(|e| refused(&origin, &text, &e))?;
+        let says_skin = |table: &Table| table.get("time")?.get("skin").map(|_| ());
+        if says_skin(&table).is_none() {
+            scene.time.skin = scene.usual_skin();
+        }
         scene.check(&origin)?;
         Ok(scene)
     }

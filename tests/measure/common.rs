@@ -165,17 +165,29 @@ pub(crate) struct Took {
 
 /// Measures runs in turn, each between two runs of a reference, so that a machine that slows down or
 /// is shared with others slows both; the first in the result is the reference.
-pub(crate) fn in_turn(rounds: usize, mut reference: Run<'_>, runs: &mut [Run<'_>]) -> Vec<Took> {
+pub(crate) fn in_turn(rounds: usize, reference: Run<'_>, runs: &mut [Run<'_>]) -> Vec<Took> {
+    in_turn_and_tidy(rounds, reference, runs, &mut || {})
+}
+
+/// The same, with what is to be done behind each run and is not measured.
+pub(crate) fn in_turn_and_tidy(
+    rounds: usize,
+    mut reference: Run<'_>,
+    runs: &mut [Run<'_>],
+    tidy: &mut dyn FnMut(),
+) -> Vec<Took> {
     let mut samples = vec![Vec::new(); runs.len() + 1];
     let mut bytes = vec![0; runs.len() + 1];
     // The first run of each finds its memory, and is not counted.
     bytes[0] = reference();
     runs.iter_mut().zip(&mut bytes[1..]).for_each(|(run, bytes)| *bytes = run());
+    tidy();
     for _ in 0..rounds {
         let mut before = milliseconds(&mut reference);
         samples[0].push((before, 1.0));
         for (run, samples) in runs.iter_mut().zip(&mut samples[1..]) {
             let own = milliseconds(run);
+            tidy();
             let behind = milliseconds(&mut reference);
             samples.push((own, own / (0.5 * (before + behind))));
             before = behind;

@@ -7,7 +7,7 @@
 mod common;
 
 use clap::Parser;
-use common::{Flows, Run, in_turn};
+use common::{Flows, Run, in_turn_and_tidy};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use whirls::recording::{self, Recorder};
@@ -55,10 +55,12 @@ struct Contestant {
 
 impl Contestant {
     fn new(arguments: &Arguments, (side, width): (usize, f64)) -> Self {
-        let mut scene = Scene::open("inverse-3d", &arguments.set).unwrap();
-        scene.fluid.particles_per_side = side;
-        scene.fluid.smoothing_length = width * scene.fluid.box_length / side as f64;
-        scene.time.step = whirls::systems::verlet::Step::KickDriftKick;
+        let own = [
+            format!("fluid.particles_per_side={side}"),
+            format!("fluid.smoothing_length={}", width * std::f64::consts::TAU / side as f64),
+            "time.step=kick-drift-kick".to_owned(),
+        ];
+        let scene = Scene::open("inverse-3d", &[&own[..], &arguments.set].concat()).unwrap();
         let mut flow = Flow::<3>::new(&scene).unwrap();
         (0..20).for_each(|_| flow.step().unwrap());
         let neighbours = flow.neighbours_per_particle();
@@ -68,9 +70,10 @@ impl Contestant {
 
     fn print(self, arguments: &Arguments, folder: &std::path::Path) {
         let Self { scene, flow, neighbours, steps } = self;
-        // A file for every run, deleted at the end: to cut an old one to nothing takes time, too.
+        // Each file is deleted behind its run, so that the next one gets its pages: in a virtual machine pages
+        // that are touched for the first time cost more than a step.
         let (folder, info) = (tempfile::tempdir_in(folder).unwrap(), run_info(&scene, "measure"));
-        let mut runs = 0;
+        let path = folder.path().join("measure.mcap");
         let flow = RefCell::new(flow);
         let advance = |recorder: Option<&mut Recorder>| {
             let target = (recorder, recording::Flow::Truth);
@@ -82,14 +85,14 @@ impl Contestant {
             0
         };
         let recorded = || {
-            runs += 1;
-            let path = folder.path().join(format!("{runs}.mcap"));
             let mut recorder = begin_recording(&path, (&info, &scene), 0.0).unwrap();
             advance(Some(&mut recorder));
             recorder.finish().unwrap().bytes as usize
         };
         let mut recorded: Vec<Run<'_>> = vec![Box::new(recorded)];
-        let took = in_turn(arguments.flows.rounds, Box::new(plain), &mut recorded);
+        let mut tidy = || std::fs::remove_file(&path).unwrap();
+        let rounds = arguments.flows.rounds;
+        let took = in_turn_and_tidy(rounds, Box::new(plain), &mut recorded, &mut tidy);
         let (each, n) = (1.0 / steps as f64, scene.particles() as f64);
         let bytes = took[1].bytes as f64;
         println!(

@@ -6,16 +6,19 @@
 
 mod common;
 
+use bevy_ecs::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
 use clap::Parser;
 use common::{Flows, Run, Took, in_turn, median};
 use std::hint::black_box;
+use std::time::{Duration, Instant};
 use whirls::models::Medium;
 use whirls::pairs::Pair;
 use whirls::scalar::{
     Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_in, on_every_instruction_set,
 };
 use whirls::space::PeriodicBox;
+use whirls::systems::Phase;
 use whirls::systems::acceleration::accelerate;
 use whirls::systems::density::sum_density;
 use whirls::systems::neighbours::{Neighbours, find_neighbours, pack_velocities};
@@ -67,7 +70,7 @@ fn main() {
     println!(
         "\nevaluate: density and forces of all particles, lists given, per particle; /pair: per directed \
          pair within 2h\nfloor: the same formulas on operands in registers, per pair; plain: evaluate of a \
-         loop over single doubles, over ours\nsearch: share of a step that finds neighbours and packs; build: a search that builds lists anew, per \
+         loop over single doubles, over ours\nsearch: share of the steps that finds neighbours and packs, timed within them; build: a search that builds lists anew, per \
          particle; pack: one that does not; builds: of lists, a step"
     );
 }
@@ -84,7 +87,7 @@ impl Pass for TimedFloor<'_> {
 
     #[inline(always)]
     fn run<W: Wide>(self) -> f64 {
-        let clock = std::time::Instant::now();
+        let clock = Instant::now();
         black_box(Floor { medium: self.medium, rounds: self.rounds }.run::<W>());
         1e9 * clock.elapsed().as_secs_f64() / (self.rounds * WIDTH) as f64
     }
@@ -107,6 +110,22 @@ fn print_floors(rounds: usize) {
     println!();
 }
 
+/// The time that searches for neighbours take within steps.
+#[derive(Resource)]
+struct Search {
+    began: Instant,
+    took: Duration,
+}
+
+fn begin_search(mut search: ResMut<Search>) {
+    search.began = Instant::now();
+}
+
+fn end_search(mut search: ResMut<Search>) {
+    let took = search.began.elapsed();
+    search.took += took;
+}
+
 /// A developed flow of some size.
 struct Contestant {
     scene: Scene,
@@ -115,9 +134,10 @@ struct Contestant {
     neighbours: f64,
 }
 
-/// Steps that are timed together.
+/// Steps that are timed together: as many as lists serve, several times over, as the first of them finds
+/// lists that were built just before.
 fn steps_of(particles: usize) -> u64 {
-    (400_000 / particles).clamp(2, 40) as u64
+    (400_000 / particles).clamp(12, 40) as u64
 }
 
 impl Contestant {
@@ -126,9 +146,14 @@ impl Contestant {
         scene.fluid.particles_per_side = side;
         scene.fluid.smoothing_length = width * scene.fluid.box_length / side as f64;
         scene.time.step = whirls::systems::verlet::Step::KickDriftKick;
-        scene.time.skin = arguments.skin.unwrap_or(scene.time.skin);
+        scene.time.skin = arguments.skin.unwrap_or(scene.usual_skin());
         scene.precision = precision;
         let mut flow = Flow::<3>::new(&scene).unwrap();
+        flow.world_mut().insert_resource(Search { began: Instant::now(), took: Duration::ZERO });
+        let (before, behind) = (Phase::Drift, Phase::Density);
+        flow.schedule_mut()
+            .add_systems(begin_search.after(before).before(Phase::Neighbours))
+            .add_systems(end_search.after(Phase::Visible).before(behind));
         (0..20).for_each(|_| flow.step().unwrap());
         let neighbours = flow.neighbours_per_particle();
         Self { particles: scene.particles(), scene, flow, neighbours }
@@ -165,8 +190,14 @@ impl Contestant {
             plain_evaluation(cell.borrow_mut().world_mut(), &medium);
             0
         };
+        let shares = std::cell::RefCell::new(Vec::new());
         let step = || {
-            (0..steps).for_each(|_| cell.borrow_mut().step().unwrap());
+            let flow = &mut *cell.borrow_mut();
+            flow.world_mut().resource_mut::<Search>().took = Duration::ZERO;
+            let clock = Instant::now();
+            (0..steps).for_each(|_| flow.step().unwrap());
+            let took = flow.world().resource::<Search>().took;
+            shares.borrow_mut().push(took.as_secs_f64() / clock.elapsed().as_secs_f64());
             0
         };
         let floor = || {
@@ -191,7 +222,8 @@ impl Contestant {
         let own = per(&took[0], pairs);
         let floor = per(&took[1], 200_000.0 * WIDTH as f64);
         let whole = per(&took[5], all);
-        let search = per(&took[4], n) + each * (per(&took[3], n) - per(&took[4], n));
+        // The first steps find their memory, and are not counted.
+        let share = median(shares.borrow()[1..].iter().copied());
         println!(
             "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:6.1} {:6.1} {:6.2} {:8.0}",
             self.particles,
@@ -205,7 +237,7 @@ impl Contestant {
             whole,
             whole / self.neighbours,
             whole / self.neighbours / floor,
-            100.0 * search / whole,
+            100.0 * share,
             per(&took[3], n),
             per(&took[4], n),
             each,
