@@ -147,7 +147,7 @@ impl Kernel for WendlandC4 {
 }
 
 /// A kernel by name: the one of a scene, known at run time. As a [`Kernel`] it chooses anew for every
-/// eight pairs, which nobody notices beside a network; the physical model is compiled for each.
+/// eight pairs, always alike; a field loss compiled for each kernel was not faster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KernelName {

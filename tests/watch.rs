@@ -7,13 +7,16 @@ mod common;
 use common::{FORCINGS, in_2d_and_3d, shaken, started};
 use whirls::flow::State;
 use whirls::scene::Forcing;
-use whirls::systems::particles::{Identity, Velocity};
+use whirls::systems::neighbours::Neighbours;
+use whirls::systems::particles::{Cloud, Identity, Velocity};
 use whirls::systems::verlet::Step;
+use whirls::vector::Vector;
 use whirls::{Error, Flow, Scene};
 
 in_2d_and_3d!(
     ten_thousand_times_the_step_is_refused_with_a_reason,
     a_number_lost_in_one_particle_is_found_and_named,
+    a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named,
     a_position_that_is_no_number_is_found_and_named,
     a_courant_number_beyond_the_limit_is_refused,
     a_kinetic_energy_beyond_the_limit_is_refused,
@@ -77,6 +80,28 @@ fn a_number_lost_in_one_particle_is_found_and_named<const D: usize>() {
         assert!(quantity.ends_with("of particle 17"), "forcing {name}: {text}");
         assert!(found.contains("not a finite number"), "{text}");
     }
+}
+
+/// In flows of more particles than two bytes count, lists are filled up with somebody who is far away.
+fn a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named<const D: usize>() {
+    let scene = common::scene::<D>(if D == 2 { 257 } else { 41 });
+    let mut flow = started(&scene, &shaken::<D>(&scene));
+    let neighbours = flow.world().resource::<Neighbours<D>>();
+    let positions = flow.world().resource::<Cloud<D>>().particles();
+    let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
+    let far = |a: usize, b: usize| {
+        let [a, b] = [a, b].map(|slot| Vector::<f64, 3>(positions[slot].position));
+        neighbours.space.minimum_image(a - b).norm() > 2.0 * reach
+    };
+    let filler = neighbours.chunks.iter().find_map(|chunk| {
+        let fills = |here: usize, j: usize| j < positions.len() && far(here, j);
+        let filler = |k| chunk.slots_of(k).find(|&j| fills(chunk.first + k, j));
+        (0..chunk.len()).find_map(filler)
+    });
+    let particle = neighbours.cells.row_of_slot[filler.unwrap()];
+    plant(&mut flow, particle);
+    let text = flow.step().unwrap_err().to_string();
+    assert!(text.contains(&format!("of particle {particle} is not a finite number")), "{text}");
 }
 
 fn a_position_that_is_no_number_is_found_and_named<const D: usize>() {
