@@ -150,10 +150,9 @@ impl Contestant {
         scene.precision = precision;
         let mut flow = Flow::<3>::new(&scene).unwrap();
         flow.world_mut().insert_resource(Search { began: Instant::now(), took: Duration::ZERO });
-        let (before, behind) = (Phase::Drift, Phase::Density);
         flow.schedule_mut()
-            .add_systems(begin_search.after(before).before(Phase::Neighbours))
-            .add_systems(end_search.after(Phase::Visible).before(behind));
+            .add_systems(begin_search.after(Phase::Drift).before(Phase::Neighbours))
+            .add_systems(end_search.after(Phase::Visible).before(Phase::Density));
         (0..20).for_each(|_| flow.step().unwrap());
         let neighbours = flow.neighbours_per_particle();
         Self { particles: scene.particles(), scene, flow, neighbours }
