@@ -97,9 +97,8 @@ impl Scene {
     /// between the levels: `fluid.alpha=2`.
     pub fn open(name_or_path: &str, overrides: &[String]) -> Result<Self> {
         if let Some(shipped) = SHIPPED.iter().find(|shipped| shipped.name == name_or_path) {
-            let Shipped { name, text, overrides: own } = shipped;
-            let origin = format!("shipped scene {name}");
-            return Self::assigned(text, (name, own), (&origin, overrides));
+            let origin = format!("shipped scene {}", shipped.name);
+            return Self::assigned(shipped.text, Some(shipped), (&origin, overrides));
         }
         let path = Path::new(name_or_path);
         let names: Vec<&str> = SHIPPED.iter().map(|shipped| shipped.name).collect();
@@ -117,22 +116,22 @@ impl Scene {
 
     /// A scene from TOML text; `origin` names the text in errors.
     pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Self> {
-        Self::assigned(text, ("", &[]), (origin, overrides))
+        Self::assigned(text, None, (origin, overrides))
     }
 
-    /// The scene of a text under a name, if that is not empty, with what a shipped scene has of its own and
-    /// what the caller says.
+    /// The scene of a text, with what a shipped scene has of its own and what the caller says.
     fn assigned(
         text: &str,
-        (name, own): (&str, &[&str]),
+        shipped: Option<&Shipped>,
         (origin, overrides): (&str, &[String]),
     ) -> Result<Self> {
         let mut table: Table = toml::from_str(text).map_err(|e| refused(origin, text, &e))?;
         let mut origin = origin.to_owned();
         let mut text = text.to_owned();
-        if !name.is_empty() && !own.is_empty() {
-            table.insert("name".to_owned(), name.into());
+        if let Some(shipped) = shipped {
+            table.insert("name".to_owned(), shipped.name.into());
         }
+        let own = shipped.map_or(&[][..], |shipped| shipped.overrides);
         for assignment in own.iter().copied().chain(overrides.iter().map(String::as_str)) {
             assign(&mut table, assignment)?;
         }
