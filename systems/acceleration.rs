@@ -7,7 +7,7 @@ use super::particles::{
 use crate::cells::FEWEST;
 use crate::models::{Kept, Model, PairShare, Passed, Slopes};
 use crate::packed::PackedAdjoint;
-use crate::pairs::{AT_ONCE, CHUNK, Chunk, Hood, Lines};
+use crate::pairs::{CHUNK, Chunk, Hood, Lines};
 use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -31,7 +31,7 @@ pub fn model_accelerations<const D: usize>(
 ) {
     let space = neighbours.space;
     let chunks = neighbours.chunks.par_iter().zip(acceleration.par_chunks_mut(CHUNK));
-    chunks.with_max_len(AT_ONCE).for_each(|(chunk, out)| {
+    chunks.for_each(|(chunk, out)| {
         let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.accelerations(hood, room, out));
     });
