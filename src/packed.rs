@@ -1,6 +1,6 @@
 //! The packed form in which particles meet their pairs.
 
-use crate::scalar::Lanes;
+use crate::scalar::{Lanes, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -103,6 +103,15 @@ impl<const D: usize> PackedSensitivity<D> {
         density: Lanes::ZERO,
         stress: Lanes::ZERO,
     };
+
+    /// Asks for all of them.
+    #[inline(always)]
+    pub fn fetch<W: Wide>(&self) {
+        W::fetch_columns(&self.position.0);
+        W::fetch_columns(&self.velocity.0);
+        W::fetch_columns(std::slice::from_ref(&self.density));
+        W::fetch_columns(std::slice::from_ref(&self.stress));
+    }
 }
 
 /// What the adjoint of a force evaluation gathers from a neighbour.

@@ -1,11 +1,9 @@
 //! The pair forces, Eqs. (2) to (7), with their tangent and their pullback.
 
 use super::neighbours::Neighbours;
-use super::particles::{
-    Acceleration, AdjointCloud, Cloud, Rooms, SensitivityBlock, SensitivityCloud,
-};
+use super::particles::{Acceleration, AdjointCloud, Cloud, Rooms, SensitivityCloud, side_by_side};
 use crate::cells::FEWEST;
-use crate::models::{Kept, Model, PairShare, Passed, Slopes};
+use crate::models::{Kept, Model, PairShare, Passed, Room, Slopes};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{CHUNK, Chunk, Hood, Lines};
 use crate::scalar::{Lanes, WIDTH};
@@ -66,7 +64,7 @@ pub fn write_acceleration<const D: usize>(
 /// network's weights, which one pass finds for all blocks, and what comes through the state.
 ///
 /// Pairs are linearised once, a few chunks at a time, and then serve one block after another, so that a
-/// block's sensitivities are fetched once.
+/// block's sensitivities are fetched once: while the block before it is at work.
 pub fn accelerate_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
@@ -74,17 +72,24 @@ pub fn accelerate_tangent<const D: usize>(
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
-    let SensitivityCloud { blocks, coupling, stress_slopes, weight_shares, slopes, .. } =
-        &mut *sensitivities;
+    let SensitivityCloud { blocks, coupling, stress_slopes, slopes, .. } = &mut *sensitivities;
     let (lines, coupling) = (cloud.lines(), *coupling);
+    let (mut packed, mut directions, mut weights) = (Vec::new(), Vec::new(), Vec::new());
+    let mut changes = Vec::new();
+    for block in blocks {
+        packed.push(&block.packed[..]);
+        directions.push(&block.directions);
+        weights.push(&block.weights[..]);
+        changes.push(&mut block.acceleration[..]);
+    }
     let network = model.network().filter(|_| model.has_force_network());
-    let count = network.map_or(0, |network| network.weights.len());
-    weight_shares.resize(cloud.len() * D * count, 0.0);
-    let shares = weight_shares.par_chunks_mut((CHUNK * D * count).max(1));
-    neighbours.chunks.par_iter().zip(shares).for_each(|(chunk, shares)| {
-        let hood = Hood { lines, chunk, space };
-        rooms.enter(model.network(), |room| model.weight_shares(hood, room, shares));
-    });
+    if network.is_some() {
+        let columns = changes.iter_mut().map(|column| &mut **column).collect();
+        neighbours.chunks.par_iter().zip(side_by_side(columns)).for_each(|(chunk, columns)| {
+            let hood = Hood { lines, chunk, space };
+            rooms.enter(network, |room| start_with_shares(model, hood, room, (columns, &weights)));
+        });
+    }
     slopes.resize_with(neighbours.chunks.len().min(WINDOW), Slopes::default);
     for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
         let first = number * WINDOW * CHUNK;
@@ -93,35 +98,46 @@ pub fn accelerate_tangent<const D: usize>(
             let kept = Kept { coupling, stress_slopes };
             rooms.enter(model.network(), |room| model.slopes(hood, kept, room, slopes));
         });
-        blocks.par_iter_mut().for_each(|block| {
-            let SensitivityBlock { packed, acceleration, directions, weights, .. } = block;
-            let chunks = acceleration[first..].par_chunks_mut(CHUNK).zip(&*slopes).zip(chunks);
+        changes.par_iter_mut().enumerate().for_each(|(block, changes)| {
+            let packed = [packed[block], packed.get(block + 1).copied().unwrap_or_default()];
+            let chunks = changes[first..].par_chunks_mut(CHUNK).zip(&*slopes).zip(chunks);
             chunks.for_each(|((out, slopes), chunk)| {
-                let shares = &weight_shares[chunk.first * D * count..];
-                start_with_shares((shares, count), weights, out);
-                slopes.add_tangents(chunk.first, packed, directions, out);
+                if network.is_none() {
+                    out.fill(Vector([Lanes::ZERO; D]));
+                }
+                slopes.add_tangents(chunk.first, packed, directions[block], out);
             });
         });
     }
 }
 
-/// `δF` of some particles as far as it comes from a block's weights directly.
+/// `δF` of a chunk of particles, block by block, as far as it comes from each block's weights directly: eight
+/// particles at a time, whose derivatives by all weights stay in the cache meanwhile.
 fn start_with_shares<const D: usize>(
-    (shares, count): (&[f64], usize),
-    weights: &[(usize, usize)],
-    out: &mut [Vector<Lanes, D>],
+    model: &dyn Model<D>,
+    hood: Hood<'_>,
+    room: &mut Room,
+    (mut blocks, weights): (Vec<&mut [Vector<Lanes, D>]>, &[&[(usize, usize)]]),
 ) {
-    out.fill(Vector([Lanes::ZERO; D]));
-    if count == 0 {
-        return;
-    }
-    for (a, shares) in out.iter_mut().zip(shares.chunks_exact(D * count)) {
-        for &(lane, weight) in weights {
-            for axis in 0..D {
-                a[axis].set_lane(lane, shares[axis * count + weight]);
+    let count = model.network().map_or(0, |network| network.weights.len());
+    let mut shares = std::mem::take(&mut room.shares);
+    for first in (0..hood.chunk.len()).step_by(WIDTH) {
+        let particles = first..(first + WIDTH).min(hood.chunk.len());
+        shares.resize(particles.len() * D * count, 0.0);
+        model.weight_shares(hood, first, room, &mut shares);
+        for (out, weights) in blocks.iter_mut().zip(weights) {
+            let rows = out[particles.clone()].iter_mut().zip(shares.chunks_exact(D * count));
+            for (a, shares) in rows {
+                *a = Vector([Lanes::ZERO; D]);
+                for &(lane, weight) in *weights {
+                    for axis in 0..D {
+                        a[axis].set_lane(lane, shares[axis * count + weight]);
+                    }
+                }
             }
         }
     }
+    room.shares = shares;
 }
 
 /// System: the pullback of [`accelerate`].

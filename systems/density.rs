@@ -145,17 +145,23 @@ pub fn sum_density_tangent<const D: usize>(
     stress_slopes.resize(cloud.len(), 0.0);
     let (lines, space, coupling) = (cloud.lines(), neighbours.space, *coupling);
     pulls.resize_with(neighbours.chunks.len().min(WINDOW), Pulls::default);
+    let (mut packed, mut changes) = (Vec::new(), Vec::new());
+    for SensitivityBlock { packed: lines, density, .. } in &mut *blocks {
+        packed.push(&lines[..]);
+        changes.push(density);
+    }
     for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
         let first = number * WINDOW * CHUNK;
         chunks.par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
             let hood = Hood { lines, chunk, space };
             dispatch_in(lines.precision, PullsPass { hood, medium, coupling, into });
         });
-        blocks.par_iter_mut().for_each(|block| {
-            let SensitivityBlock { packed: sensitivity, density, .. } = block;
+        changes.par_iter_mut().enumerate().for_each(|(number, density)| {
+            let sensitivity = packed[number];
+            let next = packed.get(number + 1).copied().unwrap_or_default();
             let chunks = density[first..].par_chunks_mut(CHUNK).zip(&*pulls).zip(chunks);
             chunks.for_each(|((density, pulls), chunk)| {
-                dispatch(DensityTangent { pulls, first: chunk.first, sensitivity, density });
+                dispatch(DensityTangent { pulls, first: chunk.first, sensitivity, next, density });
             });
         });
     }

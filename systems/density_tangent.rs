@@ -113,11 +113,12 @@ impl<const D: usize> PullsPass<'_, D> {
     }
 }
 
-/// `δρ` of one chunk of particles for one block of parameters.
+/// `δρ` of one chunk of particles for one block of parameters; the sensitivities of the `next` are asked for.
 pub(super) struct DensityTangent<'a, const D: usize> {
     pub(super) pulls: &'a Pulls<D>,
     pub(super) first: usize,
     pub(super) sensitivity: &'a [PackedSensitivity<D>],
+    pub(super) next: &'a [PackedSensitivity<D>],
     pub(super) density: &'a mut [Lanes],
 }
 
@@ -126,8 +127,11 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { pulls, first, sensitivity, density } = self;
+        let Self { pulls, first, sensitivity, next, density } = self;
         for (k, density) in density.iter_mut().enumerate() {
+            if let Some(next) = next.get(first + k) {
+                W::Double::fetch_columns(&next.position.0);
+            }
             let own = &sensitivity[first + k].position;
             let mut sum = W::Double::of(0.0);
             for axis in 0..D {

@@ -250,8 +250,6 @@ pub struct SensitivityCloud<const D: usize> {
     pub coupling: Coupling,
     /// `∂A/∂ρ` per slot.
     pub stress_slopes: Vec<f64>,
-    /// `∂F/∂weights` at fixed state, `[slot][axis][weight]`; empty where no network makes the force.
-    pub weight_shares: Vec<f64>,
     /// How the densities of some chunks depend on places.
     pub pulls: Vec<Pulls<D>>,
     /// The pairs of some chunks, linearised.

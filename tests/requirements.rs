@@ -185,8 +185,8 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     all
 }
 
-/// Columns of sensitivities to so many parameters, of which some are weights of a network in the force.
-fn columns_of_sensitivities(dimension: usize, parameters: usize, weights: usize) -> Vec<Expected> {
+/// Columns of sensitivities to so many parameters.
+fn columns_of_sensitivities(dimension: usize, parameters: usize) -> Vec<Expected> {
     let blocks = parameters.div_ceil(8) as f64;
     let (lanes, vector) = (64.0, 64.0 * dimension as f64);
     let column = |name, bytes: f64| exactly("sensitivities", name, bytes);
@@ -198,9 +198,6 @@ fn columns_of_sensitivities(dimension: usize, parameters: usize, weights: usize)
     all.push(column("density", blocks * lanes));
     all.push(column("acceleration", blocks * vector));
     all.push(column("stress_slopes", 8.0));
-    if weights > 0 {
-        all.push(column("weight_shares", (8 * dimension * weights) as f64));
-    }
     all
 }
 
@@ -328,8 +325,7 @@ fn columns_of_a_gradient(
             2 => whirls::learn::columns::<2>(scene, learn).unwrap().len(),
             _ => whirls::learn::columns::<3>(scene, learn).unwrap().len(),
         };
-        let weights = if in_the_force { learned } else { 0 };
-        held.extend(columns_of_sensitivities(scene.dimension, learned, weights));
+        held.extend(columns_of_sensitivities(scene.dimension, learned));
         held.extend(pairs_held(scene));
         return (held, Vec::new());
     }

@@ -81,7 +81,6 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         blocks: Vec::new(),
         coupling: differentiation.coupling,
         stress_slopes: Vec::new(),
-        weight_shares: Vec::new(),
         pulls: Vec::new(),
         slopes: Vec::new(),
     };

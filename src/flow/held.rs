@@ -216,7 +216,6 @@ impl<const D: usize> Flow<D> {
             ("density", blocks.clone().map(|block| room(&block.density)).sum()),
             ("acceleration", blocks.map(|block| room(&block.acceleration)).sum()),
             ("stress_slopes", room(&cloud.stress_slopes)),
-            ("weight_shares", room(&cloud.weight_shares)),
         ]
     }
 

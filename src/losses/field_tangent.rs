@@ -172,11 +172,11 @@ impl Givers {
     }
 
     /// The derivatives of the velocity at every node by one block of parameters: component after component,
-    /// each time `blocks` further in `columns`.
+    /// each time `blocks` further in `columns`. The sensitivities of the `next` block are asked for.
     #[inline(always)]
     fn differentiate<W: Wide, const D: usize>(
         &self,
-        block: &[PackedSensitivity<D>],
+        [block, next]: [&[PackedSensitivity<D>]; 2],
         columns: &mut [Lanes],
         blocks: usize,
     ) {
@@ -184,6 +184,9 @@ impl Givers {
             let mut sums = Vector::<W, D>::zero();
             let range = range[0]..range[1];
             for (&slot, row) in self.slots[range.clone()].iter().zip(&self.rows[range]) {
+                if let Some(next) = next.get(slot as usize) {
+                    next.fetch::<W>();
+                }
                 let change = &block[slot as usize];
                 let mut fade = W::load(&change.density) * row.lane(2 * D);
                 for axis in 0..D {
@@ -235,7 +238,8 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
                 residuals.extend_from_slice(&difference.0);
             }
             for (b, block) in blocks.iter().enumerate() {
-                givers.differentiate::<W::Double, D>(block, &mut columns[b..], count);
+                let next = blocks.get(b + 1).copied().unwrap_or_default();
+                givers.differentiate::<W::Double, D>([block, next], &mut columns[b..], count);
             }
             sum.add_rows::<W>(weight, &residuals, &columns);
         }

@@ -421,8 +421,9 @@ pub trait Model<const D: usize>: Constitutive<D> {
         self.has_stress() && self.network().is_some() && !self.has_force_network()
     }
 
-    /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`.
-    fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]);
+    /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`, of as many particles as `out` has room for,
+    /// from a chunk's `first` on; that is a multiple of eight.
+    fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]);
 
     /// Whether particles pass derivatives on to their neighbours one way only.
     fn passes_to_neighbours(&self) -> bool;

@@ -221,8 +221,8 @@ impl<const D: usize> Model<D> for Node<D> {
         true
     }
 
-    fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]) {
-        dispatch(WeightPass { model: self, hood, room, out });
+    fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]) {
+        dispatch(WeightPass { model: self, hood, first, room, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -302,6 +302,7 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
 struct WeightPass<'a, const D: usize> {
     model: &'a Node<D>,
     hood: Hood<'a>,
+    first: usize,
     room: &'a mut Room,
     out: &'a mut [f64],
 }
@@ -311,10 +312,10 @@ impl<const D: usize> Pass for WeightPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { model, hood, room, out } = self;
+        let Self { model, hood, first, room, out } = self;
         let count = model.network.weights.len();
         for (group, shares) in out.chunks_mut(WIDTH * D * count).enumerate() {
-            model.evaluate(hood, group * WIDTH, room);
+            model.evaluate(hood, first + group * WIDTH, room);
             for axis in 0..D {
                 model.network.weight_gradient(axis, room);
                 for (lane, shares) in shares.chunks_exact_mut(D * count).enumerate() {

@@ -27,8 +27,8 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         self.has_network()
     }
 
-    fn weight_shares(&self, hood: Hood<'_>, room: &mut Room, out: &mut [f64]) {
-        dispatch_in(hood.lines.precision, WeightPass { law: self, hood, room, out });
+    fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]) {
+        dispatch_in(hood.lines.precision, WeightPass { law: self, hood, first, room, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -137,10 +137,11 @@ impl<L: PairLaw<D>, const D: usize> SlopePass<'_, L, D> {
     }
 }
 
-/// `∂aᵢ/∂weights` over one chunk: the pullback of each component in turn.
+/// `∂aᵢ/∂weights` of some particles of a chunk: the pullback of each component in turn.
 struct WeightPass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
+    first: usize,
     room: &'a mut Room,
     out: &'a mut [f64],
 }
@@ -157,10 +158,10 @@ impl<L: PairLaw<D>, const D: usize> Pass for WeightPass<'_, L, D> {
 impl<L: PairLaw<D>, const D: usize> WeightPass<'_, L, D> {
     #[inline(always)]
     fn sweep<W: Wide, E: Entry>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, room, out } = self;
+        let Self { law, hood: Hood { lines, chunk, space }, first, room, out } = self;
         let count = law.network().map_or(0, |network: &Learned| network.weights.len());
         for (row, shares) in out.chunks_exact_mut(count.max(1)).enumerate() {
-            let (k, axis) = (row / D, row % D);
+            let (k, axis) = (first + row / D, row % D);
             let mut component = Vector::<W, D>::zero();
             component[axis] = W::of(1.0);
             room.clear();

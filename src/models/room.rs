@@ -31,6 +31,8 @@ pub struct Room {
     pub physical: [Lanes; Parameter::COUNT],
     /// `∂L/∂weights`, added up lane by lane.
     pub weights: Vec<Lanes>,
+    /// `∂aᵢ/∂weights` of a few particles, see [`super::Model::weight_shares`].
+    pub shares: Vec<f64>,
     /// Particles in order of distance, see [`super::Node`].
     pub candidates: Vec<(f64, u32)>,
     /// The nearest of each of eight particles: places in the chunk's lists.

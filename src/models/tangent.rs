@@ -271,15 +271,18 @@ impl Slopes {
         pairs: &EightPairs,
     ) {
         self.make_room(R::ROWS);
+        let Some(others) = self.slots[self.filled..].first_chunk_mut::<WIDTH>() else { return };
+        let rows = &mut self.rows[self.filled * R::ROWS..][..WIDTH * R::ROWS];
         // Without a branch that nobody can predict: those that do not act are overwritten.
+        let mut count = 0;
         for (lane, &slot) in slots.iter().enumerate() {
-            self.slots[self.filled] = slot;
-            let rows = &mut self.rows[self.filled * R::ROWS..][..R::ROWS];
-            for (row, found) in rows.iter_mut().zip(&pairs[lane]) {
-                *row = *found;
-            }
-            self.filled += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+            // No more than the lanes before it.
+            let place = count % WIDTH;
+            others[place] = slot;
+            rows[place * R::ROWS..][..R::ROWS].copy_from_slice(&pairs[lane][..R::ROWS]);
+            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
         }
+        self.filled += count;
     }
 
     /// Adds a pair to the particle that is under way.
@@ -329,15 +332,16 @@ impl Slopes {
         own
     }
 
-    /// `δa` of these particles, from slot `first` on, for one block of parameters; added to `out`.
+    /// `δa` of these particles, from slot `first` on, for one block of parameters; added to `out`. The
+    /// sensitivities of the block that is `next`, if there is one, are asked for meanwhile.
     pub fn add_tangents<const D: usize>(
         &self,
         first: usize,
-        sensitivities: &[PackedSensitivity<D>],
+        [sensitivities, next]: [&[PackedSensitivity<D>]; 2],
         directions: &[Lanes; Parameter::COUNT],
         out: &mut [Vector<Lanes, D>],
     ) {
-        dispatch(BlockPass { slopes: self, first, sensitivities, directions, out });
+        dispatch(BlockPass { slopes: self, first, sensitivities, next, directions, out });
     }
 }
 
@@ -346,6 +350,7 @@ struct BlockPass<'a, const D: usize> {
     slopes: &'a Slopes,
     first: usize,
     sensitivities: &'a [PackedSensitivity<D>],
+    next: &'a [PackedSensitivity<D>],
     directions: &'a [Lanes; Parameter::COUNT],
     out: &'a mut [Vector<Lanes, D>],
 }
@@ -365,9 +370,12 @@ impl<const D: usize> Pass for BlockPass<'_, D> {
 impl<const D: usize> BlockPass<'_, D> {
     #[inline(always)]
     fn sweep<W: Wide, R: PairRows<D>>(self) {
-        let Self { slopes, first, sensitivities, directions, out } = self;
+        let Self { slopes, first, sensitivities, next, directions, out } = self;
         let explicit = directions[..3].iter().any(|direction| *direction != Lanes::ZERO);
         for (k, out) in out.iter_mut().enumerate() {
+            if let Some(next) = next.get(first + k) {
+                next.fetch::<W>();
+            }
             let mut sum = load_vector::<W, D>(out);
             let own = slopes.own::<D>(k);
             own.add_to(&Change::load(&sensitivities[first + k]), &mut sum);

@@ -144,6 +144,11 @@ pub trait Wide: Scalar {
     fn fetch(line: &Self::Line) {
         let _ = line;
     }
+    /// As [`Wide::fetch`], for columns of parameters. Of doubles only.
+    #[inline(always)]
+    fn fetch_columns(columns: &[Lanes]) {
+        let _ = columns;
+    }
     /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
     /// them is anything.
     #[inline(always)]

@@ -132,6 +132,10 @@ macro_rules! wide_doubles {
         fn fetch(line: &Packed) {
             fetch_line(line);
         }
+        #[inline(always)]
+        fn fetch_columns(columns: &[Lanes]) {
+            columns.iter().for_each(fetch_line);
+        }
 
         #[inline(always)]
         fn widen(self) -> Self {
