@@ -87,7 +87,7 @@ pub fn accelerate_tangent<const D: usize>(
         let columns = changes.iter_mut().map(|column| &mut **column).collect();
         neighbours.chunks.par_iter().zip(side_by_side(columns)).for_each(|(chunk, columns)| {
             let hood = Hood { lines, chunk, space };
-            rooms.enter(network, |room| start_with_shares(model, hood, room, (columns, &weights)));
+            rooms.enter(network, |room| start_with_shares(model, (hood, room), columns, &weights));
         });
     }
     slopes.resize_with(neighbours.chunks.len().min(WINDOW), Slopes::default);
@@ -115,9 +115,9 @@ pub fn accelerate_tangent<const D: usize>(
 /// particles at a time, whose derivatives by all weights stay in the cache meanwhile.
 fn start_with_shares<const D: usize>(
     model: &dyn Model<D>,
-    hood: Hood<'_>,
-    room: &mut Room,
-    (mut blocks, weights): (Vec<&mut [Vector<Lanes, D>]>, &[&[(usize, usize)]]),
+    (hood, room): (Hood<'_>, &mut Room),
+    mut blocks: Vec<&mut [Vector<Lanes, D>]>,
+    weights: &[&[(usize, usize)]],
 ) {
     let count = model.network().map_or(0, |network| network.weights.len());
     let mut shares = std::mem::take(&mut room.shares);
