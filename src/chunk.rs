@@ -7,6 +7,10 @@ use crate::space::PeriodicBox;
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
 pub const CHUNK: usize = 256;
 
+/// Chunks that a thread takes at once at most: should it lose its core to another, those who wait for it wait
+/// for so much.
+pub const AT_ONCE: usize = 4;
+
 /// Lines of so many bytes in all are in the cache when they are needed.
 const FITS_CACHE: usize = 4 << 20;
 

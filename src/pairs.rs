@@ -1,6 +1,6 @@
 //! Eight neighbours at once: how every pair loop reads them.
 
-pub use crate::chunk::{AHEAD, CHUNK, Chunk, Draft, Eight, Entry};
+pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Draft, Eight, Entry};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, WIDTH, Wide};
 use crate::space::PeriodicBox;

@@ -5,7 +5,7 @@ use super::particles::{Acceleration, AdjointCloud, Cloud, Rooms, SensitivityClou
 use crate::cells::FEWEST;
 use crate::models::{Kept, Model, PairShare, Passed, Room, Slopes};
 use crate::packed::PackedAdjoint;
-use crate::pairs::{CHUNK, Chunk, Hood, Lines};
+use crate::pairs::{AT_ONCE, CHUNK, Chunk, Hood, Lines};
 use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -29,7 +29,7 @@ pub fn model_accelerations<const D: usize>(
 ) {
     let space = neighbours.space;
     let chunks = neighbours.chunks.par_iter().zip(acceleration.par_chunks_mut(CHUNK));
-    chunks.for_each(|(chunk, out)| {
+    chunks.with_max_len(AT_ONCE).for_each(|(chunk, out)| {
         let hood = Hood { lines, chunk, space };
         rooms.enter(model.network(), |room| model.accelerations(hood, room, out));
     });

@@ -9,7 +9,7 @@ use super::particles::{
 use crate::cells::FEWEST;
 use crate::models::{Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{AHEAD, CHUNK, Entry, Hood, adjoints, separation};
+use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Entry, Hood, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -68,6 +68,7 @@ pub fn sum_density<const D: usize>(
     let (lines, density) = cloud.lines_and_density();
     let (space, medium) = (neighbours.space, law.0.medium());
     let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK));
+    let chunks = chunks.with_max_len(AT_ONCE);
     match adjoint {
         None => chunks.for_each(|(chunk, density)| {
             let hood = Hood { lines, chunk, space };

@@ -11,6 +11,7 @@ use super::particles::{Acceleration, Cloud, Pool, Position, Velocity, whole_colu
 use super::verlet::Integrator;
 use crate::cells::{Cells, FEWEST};
 use crate::packed::PackedSingle;
+use crate::pairs::AT_ONCE;
 pub use crate::pairs::{CHUNK, Chunk};
 use crate::scalar::{WIDTH, dispatch};
 use crate::space::PeriodicBox;
@@ -188,7 +189,8 @@ impl<const D: usize> Neighbours<D> {
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches, position) = (&self.columns, &self.benches, &position);
-        chunks.par_iter_mut().enumerate().for_each(|(number, chunk)| {
+        let tasks = chunks.par_iter_mut().enumerate().with_max_len(AT_ONCE);
+        tasks.for_each(|(number, chunk)| {
             let first = number * CHUNK;
             let pass = ListPass { first, columns, position, cells, space, reach };
             benches.lend(Workbench::default, |bench| {
