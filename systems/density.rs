@@ -157,9 +157,9 @@ pub fn sum_density_tangent<const D: usize>(
             let hood = Hood { lines, chunk, space };
             dispatch_in(lines.precision, PullsPass { hood, medium, coupling, into });
         });
-        changes.par_iter_mut().enumerate().for_each(|(number, density)| {
-            let sensitivity = packed[number];
-            let next = packed.get(number + 1).copied().unwrap_or_default();
+        changes.par_iter_mut().enumerate().for_each(|(block, density)| {
+            let sensitivity = packed[block];
+            let next = packed.get(block + 1).copied().unwrap_or_default();
             let chunks = density[first..].par_chunks_mut(CHUNK).zip(&*pulls).zip(chunks);
             chunks.for_each(|((density, pulls), chunk)| {
                 dispatch(DensityTangent { pulls, first: chunk.first, sensitivity, next, density });
