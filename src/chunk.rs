@@ -1,7 +1,7 @@
 //! Lists of neighbours, eight at a time: as they are written, and as they are kept.
 
 use crate::pairs::{Surroundings, pick};
-use crate::scalar::{Pass, WIDTH, Wide, dispatch};
+use crate::scalar::{WIDTH, Wide};
 use crate::space::PeriodicBox;
 
 /// Particles per parallel task: fixed, so that no result depends on the number of threads.
@@ -152,7 +152,7 @@ impl Chunk {
     /// Makes masks for [`Self::batches`] eights.
     pub fn make_masks(&self, masks: &mut Vec<u8>) {
         masks.clear();
-        masks.reserve_exact(self.batches());
+        masks.reserve_exact(self.most_masks());
         masks.resize(self.batches(), 0);
     }
 
@@ -194,13 +194,8 @@ impl Chunk {
     /// not fit the cache.
     #[inline(always)]
     pub fn fetch_ahead<W: Wide, E: Entry>(&self, k: usize, lines: &[W::Line]) {
-        if size_of_val(lines) <= FITS_CACHE || k >= self.len() {
-            return;
-        }
-        for others in self.neighbours::<E>(k) {
-            for line in pick(lines, others) {
-                W::fetch(line);
-            }
+        if k < self.len() {
+            fetch::<W, E>(self.neighbours(k), lines);
         }
     }
 
@@ -235,51 +230,25 @@ impl Chunk {
         renew(&mut self.near, eights.iter().map(near));
     }
 
-    /// Becomes the lists of `all` without those that are not in the masks of their eights, in whole slots.
-    pub fn sift(&mut self, all: &Self, masks: &[u8], nobody: usize) {
-        self.first = all.first;
-        self.base = 0;
-        self.start.clone_from(&all.start);
-        self.seam.clone_from(&all.seam);
-        self.near.clear();
-        self.whole.resize(all.batches() + 1, [0; WIDTH]);
-        dispatch(Sift { all, masks, nobody, sifted: self });
+    /// Of each slot, whether some neighbour may be across the seam of the box.
+    pub(crate) fn seam(&self) -> &[bool] {
+        &self.seam
     }
 }
 
-/// Copies the lists of a chunk as far as they are in masks.
-struct Sift<'a> {
-    all: &'a Chunk,
-    masks: &'a [u8],
-    nobody: usize,
-    sifted: &'a mut Chunk,
-}
-
-impl Pass for Sift<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<W: Wide>(self) {
-        if self.all.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+/// Asks for the lines of some particles, where all lines do not fit the cache.
+#[inline(always)]
+pub(crate) fn fetch<'a, W: Wide, E: Entry>(
+    eights: impl Iterator<Item = Eight<'a, E>>,
+    lines: &[W::Line],
+) {
+    if size_of_val(lines) <= FITS_CACHE {
+        return;
     }
-}
-
-impl Sift<'_> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { all, masks, nobody, sifted: Chunk { start, whole, .. } } = self;
-        let (index, nobody) = (whole.as_flattened_mut(), [nobody as u32; WIDTH]);
-        let mut filled = 0;
-        for (k, end) in start.iter_mut().skip(1).enumerate() {
-            for (eight, &mask) in all.neighbours::<E>(k).zip(&masks[all.range(k)]) {
-                if let Some(kept) = index[filled..].first_chunk_mut() {
-                    W::keep_slots(mask, &eight.slots(), kept);
-                }
-                filled += mask.count_ones() as usize;
-            }
-            index[filled..filled + WIDTH].copy_from_slice(&nobody);
-            filled = filled.next_multiple_of(WIDTH);
-            *end = (filled / WIDTH) as u32;
+    // Two loops: one over flattened arrays is not unrolled, and costs more than it saves.
+    for others in eights {
+        for line in pick(lines, others) {
+            W::fetch(line);
         }
     }
 }

@@ -11,6 +11,7 @@ pub mod kernel;
 pub mod learn;
 pub mod losses;
 pub mod models;
+pub mod near;
 pub mod network;
 pub mod optimisers;
 pub mod packed;

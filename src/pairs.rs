@@ -1,6 +1,7 @@
 //! Eight neighbours at once: how every pair loop reads them.
 
 pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Draft, Eight, Entry};
+use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, WIDTH, Wide};
 use crate::space::PeriodicBox;
@@ -26,13 +27,13 @@ pub struct Lines<'a> {
     pub precision: Precision,
 }
 
-/// One chunk of particles with all that they can touch: what a pair loop runs over.
+/// One chunk of particles with all that they touch: what a pair loop runs over.
 #[derive(Clone, Copy, Debug)]
 pub struct Hood<'a> {
     /// All particles.
     pub lines: Lines<'a>,
-    /// The chunk.
-    pub chunk: &'a Chunk,
+    /// The chunk, and who is near.
+    pub near: &'a Near,
     /// The box.
     pub space: PeriodicBox,
 }

@@ -1,16 +1,17 @@
 //! The pair forces, Eqs. (2) to (7), with their tangent and their pullback.
 
+use super::near::Pairs;
 use super::neighbours::Neighbours;
 use super::particles::{Acceleration, AdjointCloud, Cloud, Rooms, SensitivityCloud, side_by_side};
 use crate::cells::FEWEST;
 use crate::models::{Kept, Model, PairShare, Passed, Room, Slopes};
+use crate::near::Near;
 use crate::packed::PackedAdjoint;
-use crate::pairs::{AT_ONCE, CHUNK, Chunk, Hood, Lines};
+use crate::pairs::{AT_ONCE, CHUNK, Hood};
 use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
-use std::sync::{Arc, Weak};
 
 /// The model that moves the particles of a World.
 #[derive(Resource, Debug)]
@@ -22,16 +23,16 @@ pub(super) const WINDOW: usize = 4;
 
 /// Accelerations of all particles by the model's own force, in cell order.
 pub fn model_accelerations<const D: usize>(
-    neighbours: &Neighbours<D>,
+    pairs: Pairs<'_>,
     (model, rooms): (&dyn Model<D>, &Rooms),
-    lines: Lines<'_>,
     acceleration: &mut [Vector<f64, D>],
 ) {
-    let space = neighbours.space;
-    let chunks = neighbours.chunks.par_iter().zip(acceleration.par_chunks_mut(CHUNK));
+    rooms.make_room(model.network(), pairs.fullest());
+    let chunks = acceleration.par_chunks_mut(CHUNK).enumerate();
     chunks.with_max_len(AT_ONCE).for_each(|(chunk, out)| {
-        let hood = Hood { lines, chunk, space };
-        rooms.enter(model.network(), |room| model.accelerations(hood, room, out));
+        pairs.meet(chunk, (rooms, model.network()), |hood, room| {
+            model.accelerations(hood, room, out);
+        });
     });
 }
 
@@ -41,8 +42,8 @@ pub fn accelerate<const D: usize>(
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let (lines, acceleration) = cloud.lines_and_acceleration();
-    model_accelerations(&neighbours, (&*law.0, &rooms), lines, acceleration);
+    let (pairs, acceleration) = cloud.pairs_and_acceleration(&neighbours);
+    model_accelerations(pairs, (&*law.0, &rooms), acceleration);
 }
 
 /// System: writes the accelerations back to the particles.
@@ -71,9 +72,9 @@ pub fn accelerate_tangent<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
+    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
     let SensitivityCloud { blocks, coupling, stress_slopes, slopes, .. } = &mut *sensitivities;
-    let (lines, coupling) = (cloud.lines(), *coupling);
+    let coupling = *coupling;
     let (mut packed, mut directions, mut weights) = (Vec::new(), Vec::new(), Vec::new());
     let mut changes = Vec::new();
     for block in blocks {
@@ -85,27 +86,30 @@ pub fn accelerate_tangent<const D: usize>(
     let network = model.network().filter(|_| model.has_force_network());
     if network.is_some() {
         let columns = changes.iter_mut().map(|column| &mut **column).collect();
-        neighbours.chunks.par_iter().zip(side_by_side(columns)).for_each(|(chunk, columns)| {
-            let hood = Hood { lines, chunk, space };
-            rooms.enter(network, |room| start_with_shares(model, (hood, room), columns, &weights));
+        side_by_side(columns).into_par_iter().enumerate().for_each(|(chunk, columns)| {
+            pairs.meet(chunk, (rooms, network), |hood, room| {
+                start_with_shares(model, (hood, room), columns, &weights);
+            });
         });
     }
-    slopes.resize_with(neighbours.chunks.len().min(WINDOW), Slopes::default);
-    for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
-        let first = number * WINDOW * CHUNK;
-        chunks.par_iter().zip(&mut *slopes).for_each(|(chunk, slopes)| {
-            let hood = Hood { lines, chunk, space };
+    slopes.resize_with(pairs.chunks().min(WINDOW), Slopes::default);
+    for window in (0..pairs.chunks()).step_by(WINDOW) {
+        let chunks = window..(window + WINDOW).min(pairs.chunks());
+        chunks.clone().into_par_iter().zip(&mut *slopes).for_each(|(chunk, slopes)| {
             let kept = Kept { coupling, stress_slopes };
-            rooms.enter(model.network(), |room| model.slopes(hood, kept, room, slopes));
+            pairs.meet(chunk, (rooms, model.network()), |hood, room| {
+                model.slopes(hood, kept, room, slopes);
+            });
         });
         changes.par_iter_mut().enumerate().for_each(|(block, changes)| {
             let packed = [packed[block], packed.get(block + 1).copied().unwrap_or_default()];
-            let chunks = changes[first..].par_chunks_mut(CHUNK).zip(&*slopes).zip(chunks);
+            let columns = changes[window * CHUNK..].par_chunks_mut(CHUNK);
+            let chunks = columns.zip(&*slopes).zip(chunks.clone());
             chunks.for_each(|((out, slopes), chunk)| {
                 if network.is_none() {
                     out.fill(Vector([Lanes::ZERO; D]));
                 }
-                slopes.add_tangents(chunk.first, packed, directions[block], out);
+                slopes.add_tangents(chunk * CHUNK, packed, directions[block], out);
             });
         });
     }
@@ -121,8 +125,8 @@ fn start_with_shares<const D: usize>(
 ) {
     let count = model.network().map_or(0, |network| network.weights.len());
     let mut shares = std::mem::take(&mut room.shares);
-    for first in (0..hood.chunk.len()).step_by(WIDTH) {
-        let particles = first..(first + WIDTH).min(hood.chunk.len());
+    for first in (0..hood.near.len()).step_by(WIDTH) {
+        let particles = first..(first + WIDTH).min(hood.near.len());
         shares.resize(particles.len() * D * count, 0.0);
         model.weight_shares(hood, first, room, &mut shares);
         for (out, weights) in blocks.iter_mut().zip(weights) {
@@ -147,32 +151,31 @@ pub fn accelerate_pullback<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let (model, rooms, space) = (&*law.0, &*rooms, neighbours.space);
+    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
     let one_way = model.passes_to_neighbours();
     let count = adjoint.parameters.len();
     adjoint.sum_parameters(count, |adjoint, sums| {
         let AdjointCloud { packed: lines, position, velocity, scalars, shares, near, .. } = adjoint;
-        shares.resize_with(neighbours.chunks.len(), Vec::new);
+        shares.resize_with(near.len(), Vec::new);
         let forces: &[PackedAdjoint] = lines;
         let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
         let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(shares);
         let places = places.zip(sums.par_chunks_mut(count));
-        // Who leaves shares for neighbours leaves them by the places of all that are listed.
-        let chunks = if one_way { &neighbours.chunks[..] } else { near };
-        chunks.par_iter().zip(places).for_each(|(chunk, (place, sums))| {
+        near.par_iter().zip(places).for_each(|(near, (place, sums))| {
             let (((position, velocity), scalars), neighbours) = place;
-            let places = if one_way { WIDTH * chunk.batches() } else { 0 };
+            let places = if one_way { WIDTH * near.batches() } else { 0 };
             neighbours.resize(places, PairShare::ZERO);
             let into = Passed { position, velocity, scalars, neighbours };
             rooms.enter(model.network(), |room| {
                 room.clear();
-                model.pull_back(Hood { lines: cloud.lines(), chunk, space }, forces, room, into);
+                model.pull_back(pairs.hood(near), forces, room, into);
                 room.write_sums(sums);
             });
         });
     });
     if one_way {
-        adjoint.senders.find(&neighbours.chunks, cloud.len());
+        let AdjointCloud { senders, near, .. } = &mut *adjoint;
+        senders.find(near, cloud.len());
         fetch_shares(&mut adjoint);
     }
 }
@@ -192,11 +195,11 @@ fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
     });
 }
 
-/// Who has each particle in a list, and where: the lists transposed, so that nobody searches.
+/// Who has each particle near, and where in its lists: the lists transposed, so that nobody searches.
 #[derive(Clone, Debug, Default)]
 pub struct Senders {
-    /// The lists that these belong to; they may be gone.
-    lists: Weak<Vec<Chunk>>,
+    /// Whether what follows belongs to the lists as they are.
+    known: bool,
     /// Where each slot's senders start; one more at the end.
     start: Vec<u32>,
     /// Chunk and place in its lists, in the order of the senders' slots.
@@ -204,19 +207,23 @@ pub struct Senders {
 }
 
 impl Senders {
+    /// The lists have changed.
+    pub(super) fn forget(&mut self) {
+        self.known = false;
+    }
+
     /// Those of some lists of so many particles; nothing to do where they are known.
-    fn find(&mut self, lists: &Arc<Vec<Chunk>>, particles: usize) {
-        if !std::ptr::eq(self.lists.as_ptr(), Arc::as_ptr(lists)) {
-            self.lists = Arc::downgrade(lists);
+    fn find(&mut self, lists: &[Near], particles: usize) {
+        if !std::mem::replace(&mut self.known, true) {
             self.transpose(lists, particles);
         }
     }
 
     /// Counting sort of all places by the slot that they hold.
-    fn transpose(&mut self, lists: &[Chunk], particles: usize) {
+    fn transpose(&mut self, lists: &[Near], particles: usize) {
         self.start.clear();
         self.start.resize(particles + 2, 0);
-        for other in lists.iter().flat_map(Chunk::slots) {
+        for other in lists.iter().flat_map(Near::slots) {
             // Nobody, behind the last, is counted behind the end.
             self.start[other + 1] += 1;
         }
@@ -225,9 +232,9 @@ impl Senders {
         }
         self.start.truncate(particles + 1);
         self.places.resize(self.start[particles] as usize, [0; 2]);
-        for (number, chunk) in lists.iter().enumerate().rev() {
-            let places = (0..WIDTH * chunk.batches()).rev();
-            for (place, other) in places.zip(chunk.slots().rev()) {
+        for (number, near) in lists.iter().enumerate().rev() {
+            let places = (0..WIDTH * near.batches()).rev();
+            for (place, other) in places.zip(near.slots().rev()) {
                 // Filling from the back turns each end into a start.
                 let Some(end) = self.start[1..].get_mut(other) else { continue };
                 *end -= 1;

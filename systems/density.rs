@@ -9,34 +9,37 @@ use super::particles::{
 use crate::cells::FEWEST;
 use crate::models::{Medium, Model, Parameter, Room};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Entry, Hood, adjoints, separation};
+use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Chunk, Entry, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
+use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles; and, where `NEAR`, which of the
-/// listed pairs have a share in it: a mask for each eight.
-struct DensityPass<'a, const NEAR: bool, const D: usize> {
-    hood: Hood<'a>,
+/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles; and which of the listed pairs have a
+/// share in it: a mask for each eight.
+struct DensityPass<'a, const D: usize> {
+    lines: Lines<'a>,
+    chunk: &'a Chunk,
+    space: PeriodicBox,
     medium: &'a Medium<D>,
     density: &'a mut [f64],
-    near: &'a mut [u8],
+    masks: &'a mut [u8],
 }
 
-impl<const NEAR: bool, const D: usize> Pass for DensityPass<'_, NEAR, D> {
+impl<const D: usize> Pass for DensityPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+        if self.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
     }
 }
 
-impl<const NEAR: bool, const D: usize> DensityPass<'_, NEAR, D> {
+impl<const D: usize> DensityPass<'_, D> {
     #[inline(always)]
     fn sweep<W: Wide, E: Entry>(self) {
-        let Hood { lines, chunk, space } = self.hood;
+        let Self { lines, chunk, space, .. } = self;
         let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
         let all = W::lines(lines);
@@ -44,13 +47,11 @@ impl<const NEAR: bool, const D: usize> DensityPass<'_, NEAR, D> {
             chunk.fetch_ahead::<W, E>(k + AHEAD, all);
             let mut sum = W::Double::of(0.0);
             let space = chunk.around(k, space);
-            let first = chunk.range(k).start;
-            for (number, eight) in chunk.neighbours::<E>(k).enumerate() {
+            let masks = &mut self.masks[chunk.range(k)];
+            for (eight, mask) in chunk.neighbours::<E>(k).zip(masks) {
                 let r = separation::<W, D>(lines, chunk.first + k, eight, space);
                 let weight = smoothing.value(r.norm_squared().sqrt());
-                if NEAR {
-                    self.near[first + number] = weight.positive();
-                }
+                *mask = weight.nonzero();
                 sum += weight.widen();
             }
             *density = self.medium.mass * (own + sum.sum());
@@ -63,32 +64,16 @@ pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
-    adjoint: Option<ResMut<AdjointCloud<D>>>,
 ) {
-    let (lines, density) = cloud.lines_and_density();
     let (space, medium) = (neighbours.space, law.0.medium());
-    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK));
-    let chunks = chunks.with_max_len(AT_ONCE);
-    match adjoint {
-        None => chunks.for_each(|(chunk, density)| {
-            let hood = Hood { lines, chunk, space };
-            let pass = DensityPass::<false, D> { hood, medium, density, near: &mut [] };
-            dispatch_in(lines.precision, pass);
-        }),
-        Some(mut adjoint) => {
-            adjoint.sifted = None;
-            adjoint.masks.resize_with(neighbours.chunks.len(), Vec::new);
-            chunks.zip(&mut adjoint.masks).for_each(|((chunk, density), near)| {
-                chunk.make_masks(near);
-                let hood = Hood { lines, chunk, space };
-                dispatch_in(
-                    lines.precision,
-                    DensityPass::<true, D> { hood, medium, density, near },
-                );
-            });
-        }
-    }
-    let Cloud { packed, singles, density, .. } = &mut *cloud;
+    let Cloud { packed, singles, precision, density, masks, .. } = &mut *cloud;
+    masks.resize_with(neighbours.chunks.len(), Vec::new);
+    let lines = Lines { double: packed, single: singles, precision: *precision };
+    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(masks);
+    chunks.with_max_len(AT_ONCE).for_each(|((chunk, density), masks)| {
+        chunk.make_masks(masks);
+        dispatch_in(lines.precision, DensityPass { lines, chunk, space, medium, density, masks });
+    });
     let count = density.len();
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {
@@ -140,29 +125,32 @@ pub fn sum_density_tangent<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (model, rooms) = (&*law.0, &*rooms);
-    let medium = model.medium();
+    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
+    let (medium, precision) = (model.medium(), cloud.precision);
     let SensitivityCloud { blocks, coupling, stress_slopes, pulls, .. } = &mut *sensitivities;
     stress_slopes.resize(cloud.len(), 0.0);
-    let (lines, space, coupling) = (cloud.lines(), neighbours.space, *coupling);
-    pulls.resize_with(neighbours.chunks.len().min(WINDOW), Pulls::default);
+    let coupling = *coupling;
+    pulls.resize_with(pairs.chunks().min(WINDOW), Pulls::default);
     let (mut packed, mut changes) = (Vec::new(), Vec::new());
     for SensitivityBlock { packed: lines, density, .. } in &mut *blocks {
         packed.push(&lines[..]);
         changes.push(density);
     }
-    for (number, chunks) in neighbours.chunks.chunks(WINDOW).enumerate() {
-        let first = number * WINDOW * CHUNK;
-        chunks.par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
-            let hood = Hood { lines, chunk, space };
-            dispatch_in(lines.precision, PullsPass { hood, medium, coupling, into });
+    for window in (0..pairs.chunks()).step_by(WINDOW) {
+        let chunks = window..(window + WINDOW).min(pairs.chunks());
+        chunks.clone().into_par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
+            pairs.meet(chunk, (rooms, model.network()), |hood, _| {
+                dispatch_in(precision, PullsPass { hood, medium, coupling, into });
+            });
         });
         changes.par_iter_mut().enumerate().for_each(|(block, density)| {
             let sensitivity = packed[block];
             let next = packed.get(block + 1).copied().unwrap_or_default();
-            let chunks = density[first..].par_chunks_mut(CHUNK).zip(&*pulls).zip(chunks);
+            let columns = density[window * CHUNK..].par_chunks_mut(CHUNK);
+            let chunks = columns.zip(&*pulls).zip(chunks.clone());
             chunks.for_each(|((density, pulls), chunk)| {
-                dispatch(DensityTangent { pulls, first: chunk.first, sensitivity, next, density });
+                let first = chunk * CHUNK;
+                dispatch(DensityTangent { pulls, first, sensitivity, next, density });
             });
         });
     }
@@ -195,21 +183,14 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<const D: usize> DensityPullback<'_, D> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Hood { lines, chunk, space } = self.hood;
+        let Hood { lines, near, space } = self.hood;
         let Medium { smoothing, mass, .. } = self.medium;
         for (k, position) in self.position.iter_mut().enumerate() {
-            let slot = chunk.first + k;
+            let slot = near.first + k;
             let own = self.adjoint[slot].density;
             let mut sum = Vector::<W::Double, D>::zero();
-            let space = chunk.around(k, space);
-            for eight in chunk.neighbours::<E>(k) {
+            let space = near.around(k, space);
+            for eight in near.neighbours(k) {
                 let r = separation::<W, D>(lines, slot, eight, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
                 let [.., density] = adjoints::<W>(self.adjoint, eight);
@@ -248,10 +229,10 @@ pub fn sum_density_pullback<const D: usize>(
         });
     });
     let AdjointCloud { packed: by_density, position, near, .. } = &mut *adjoint;
-    let (lines, adjoint, medium) = (cloud.lines(), &by_density[..], model.medium());
-    near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(chunk, position)| {
-        let hood = Hood { lines, chunk, space: neighbours.space };
-        dispatch_in(lines.precision, DensityPullback { hood, adjoint, medium, position });
+    let (pairs, adjoint, medium) = (cloud.pairs(&neighbours), &by_density[..], model.medium());
+    near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(near, position)| {
+        let hood = pairs.hood(near);
+        dispatch_in(cloud.precision, DensityPullback { hood, adjoint, medium, position });
     });
 }
 

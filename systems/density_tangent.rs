@@ -3,7 +3,7 @@
 use super::density::densities;
 use crate::models::{Medium, Model, Parameter, Room, StressSlope};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::pairs::{Entry, Hood, separation};
+use crate::pairs::{Hood, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -31,32 +31,22 @@ impl<const D: usize> Pulls<D> {
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
 
-    /// Adds those of eight pairs whose pull has a size, and who are somebody.
+    /// Adds eight pairs as far as they are somebody's: nobody comes last.
     #[inline(always)]
-    fn push(&mut self, slots: &[u32; WIDTH], (sizes, nobody): (Lanes, usize), pulls: &[Lanes; D]) {
+    fn push(&mut self, slots: &[u32; WIDTH], nobody: usize, pulls: &[Lanes; D]) {
         let end = self.filled + WIDTH;
         if self.slots.len() < end {
             self.slots.resize(end * 9 / 8, 0);
             self.pulls.resize(end * 9 / 8, [0.0; D]);
         }
-        let (Some(others), Some(rows)) = (
-            self.slots[self.filled..].first_chunk_mut::<WIDTH>(),
-            self.pulls[self.filled..].first_chunk_mut::<WIDTH>(),
-        ) else {
-            return;
-        };
-        // Without a branch that nobody can predict: those that do not act are overwritten.
-        let mut count = 0;
-        for (lane, &slot) in slots.iter().enumerate() {
-            // No more than the lanes before it.
-            let place = count % WIDTH;
-            others[place] = slot;
+        self.slots[self.filled..end].copy_from_slice(slots);
+        for (lane, row) in self.pulls[self.filled..end].iter_mut().enumerate() {
             for axis in 0..D {
-                rows[place][axis] = pulls[axis].lane(lane);
+                row[axis] = pulls[axis].lane(lane);
             }
-            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
         }
-        self.filled += count;
+        // Nobody is overwritten.
+        self.filled += slots.iter().filter(|&&slot| slot as usize != nobody).count();
     }
 }
 
@@ -73,34 +63,27 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<const D: usize> PullsPass<'_, D> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { hood: Hood { lines, chunk, space }, medium, coupling, into } = self;
+        let Self { hood: Hood { lines, near, space }, medium, coupling, into } = self;
         let Medium { smoothing, mass, .. } = medium;
         into.own.clear();
         into.filled = 0;
         into.start.clear();
         into.start.push(0);
         let nobody = lines.double.len() - 1;
-        for k in 0..chunk.len() {
-            let space = chunk.around(k, space);
+        for k in 0..near.len() {
+            let space = near.around(k, space);
             let mut sum = Vector::<W::Double, D>::zero();
-            for eight in chunk.neighbours::<E>(k) {
-                let r = separation::<W, D>(lines, chunk.first + k, eight, space);
+            for eight in near.neighbours(k) {
+                let r = separation::<W, D>(lines, near.first + k, eight, space);
                 let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
-                let (sizes, mut pulls) = (pull.store(), [Lanes::ZERO; D]);
+                let mut pulls = [Lanes::ZERO; D];
                 for axis in 0..D {
                     let along = (r[axis] * pull).widen();
                     pulls[axis] = along.store();
                     sum[axis] += along;
                 }
                 if coupling == Coupling::Full {
-                    into.push(&eight.slots(), (sizes, nobody), &pulls);
+                    into.push(eight.entries, nobody, &pulls);
                 }
             }
             let mut own = [0.0; D];

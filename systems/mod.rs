@@ -29,6 +29,7 @@ pub mod forcing;
 mod lists;
 pub mod loss;
 mod movement;
+pub mod near;
 pub mod neighbours;
 pub mod particles;
 pub mod tape;

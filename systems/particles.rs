@@ -2,10 +2,13 @@
 
 use super::acceleration::Senders;
 use super::density_tangent::Pulls;
+use super::near::Pairs;
+use super::neighbours::Neighbours;
 use crate::cells::FEWEST;
 use crate::models::{Learned, PairShare, Room, Slopes};
+use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
-use crate::pairs::{CHUNK, Chunk, Lines};
+use crate::pairs::{CHUNK, Lines};
 use crate::scalar::{Lanes, Precision};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
@@ -110,10 +113,8 @@ pub struct AdjointCloud<const D: usize> {
     pub carried: Vec<(f64, f64)>,
     /// `(∂L/∂A, ∂L/∂ρ)` per slot: what was carried here, and what comes through the forces.
     pub scalars: Vec<(f64, f64)>,
-    /// Which listed pairs are within the support, chunk by chunk: a mask for each eight.
-    pub masks: Vec<Vec<u8>>,
-    /// The lists without the others.
-    pub near: Vec<Chunk>,
+    /// Who is near, chunk by chunk.
+    pub near: Vec<Near>,
     /// The step whose positions those belong to, if they may be used.
     pub sifted: Option<u64>,
     /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
@@ -127,11 +128,11 @@ pub struct AdjointCloud<const D: usize> {
 }
 
 impl<const D: usize> AdjointCloud<D> {
-    /// Finds the lists of who is near, of so many particles.
-    pub(super) fn sift(&mut self, lists: &[Chunk], particles: usize) {
-        self.near.resize_with(lists.len(), Chunk::default);
-        let lists = lists.par_iter().zip(&self.masks).zip(&mut self.near);
-        lists.for_each(|((all, masks), near)| near.sift(all, masks, particles));
+    /// Finds who is near.
+    pub(super) fn sift(&mut self, pairs: Pairs<'_>) {
+        self.near.resize_with(pairs.chunks(), Near::default);
+        self.near.par_iter_mut().enumerate().for_each(|(chunk, near)| pairs.find(chunk, near));
+        self.senders.forget();
     }
 
     /// Adds to the first `count` parameters the sums that `write` finds for each chunk of particles,
@@ -168,6 +169,8 @@ pub struct Cloud<const D: usize> {
     pub density: Vec<f64>,
     /// The slot of each row.
     pub slot_of_row: Vec<u32>,
+    /// Whose weight in the density was not zero, chunk by chunk: a mask for each eight in the lists.
+    pub masks: Vec<Vec<u8>>,
 }
 
 impl<const D: usize> Cloud<D> {
@@ -208,16 +211,19 @@ impl<const D: usize> Cloud<D> {
         Lines { double: &self.packed, single: &self.singles, precision: self.precision }
     }
 
-    /// The lines, and the densities to write.
-    pub fn lines_and_density(&mut self) -> (Lines<'_>, &mut [f64]) {
-        let Self { packed, singles, precision, density, .. } = self;
-        (Lines { double: packed, single: singles, precision: *precision }, density)
+    /// All pairs that its densities were summed over.
+    pub fn pairs<'a>(&'a self, neighbours: &'a Neighbours<D>) -> Pairs<'a> {
+        Pairs::new(self.lines(), neighbours, &self.masks)
     }
 
-    /// The lines, and the accelerations to write.
-    pub fn lines_and_acceleration(&mut self) -> (Lines<'_>, &mut [Vector<f64, D>]) {
-        let Self { packed, singles, precision, acceleration, .. } = self;
-        (Lines { double: packed, single: singles, precision: *precision }, acceleration)
+    /// The same, and the accelerations to write.
+    pub fn pairs_and_acceleration<'a>(
+        &'a mut self,
+        neighbours: &'a Neighbours<D>,
+    ) -> (Pairs<'a>, &'a mut [Vector<f64, D>]) {
+        let Self { packed, singles, precision, acceleration, masks, .. } = self;
+        let lines = Lines { double: packed, single: singles, precision: *precision };
+        (Pairs::new(lines, neighbours, masks), acceleration)
     }
 
     /// The particles without the filler behind them.
@@ -270,17 +276,20 @@ impl<T> Pool<T> {
     /// Calls `work` with one of them; the first call makes one for each thread, so that it is not left
     /// to the scheduler when the last of them is made.
     pub(super) fn lend<R>(&self, make: impl Fn() -> T, work: impl FnOnce(&mut T) -> R) -> R {
-        let taken = {
-            let mut free = self.lock();
-            if free.capacity() == 0 {
-                free.extend((0..rayon::current_num_threads()).map(|_| make()));
-            }
-            free.pop()
-        };
+        let taken = self.for_all_threads(&make).pop();
         let mut lent = taken.unwrap_or_else(make);
         let result = work(&mut lent);
         self.lock().push(lent);
         result
+    }
+
+    /// Everything that is not lent, once there has been one for each thread.
+    fn for_all_threads(&self, make: impl Fn() -> T) -> MutexGuard<'_, Vec<T>> {
+        let mut free = self.lock();
+        if free.capacity() == 0 {
+            free.extend((0..rayon::current_num_threads()).map(|_| make()));
+        }
+        free
     }
 
     /// Everything that is not lent.
@@ -303,5 +312,12 @@ impl Rooms {
     /// Calls `work` with a room for this network.
     pub fn enter<T>(&self, network: Option<&Learned>, work: impl FnOnce(&mut Room) -> T) -> T {
         self.0.lend(|| Room::new(network), work)
+    }
+
+    /// Gives all threads room for so many eights of who is near: which of them meets the fullest chunk is up to
+    /// the scheduler, and whoever meets it next shall find room.
+    pub(super) fn make_room(&self, network: Option<&Learned>, eights: usize) {
+        let mut rooms = self.0.for_all_threads(|| Room::new(network));
+        rooms.iter_mut().for_each(|room| room.near.make_room(eights));
     }
 }

@@ -18,7 +18,7 @@ pub struct Evaluation {
     packed: Vec<Packed>,
     slot_of_row: Vec<u32>,
     chunks: Arc<Vec<Chunk>>,
-    /// Which of them are within the support; see [`AdjointCloud::masks`].
+    /// Who in them is near; see [`Cloud::masks`].
     masks: Vec<Vec<u8>>,
     /// Step whose positions these are.
     step: u64,
@@ -95,16 +95,11 @@ impl<const D: usize> Tape<D> {
     }
 
     /// Keeps a force evaluation.
-    fn push(
-        &mut self,
-        cloud: &Cloud<D>,
-        (chunks, masks): (&Arc<Vec<Chunk>>, &Vec<Vec<u8>>),
-        step: u64,
-    ) {
+    fn push(&mut self, cloud: &Cloud<D>, chunks: &Arc<Vec<Chunk>>, step: u64) {
         let mut evaluation = self.spare.0.pop().unwrap_or_default();
         evaluation.packed.clone_from(&cloud.packed);
         evaluation.slot_of_row.clone_from(&cloud.slot_of_row);
-        evaluation.masks.clone_from(masks);
+        evaluation.masks.clone_from(&cloud.masks);
         (evaluation.chunks, evaluation.step) = (Arc::clone(chunks), step);
         self.evaluations.push(evaluation);
     }
@@ -157,11 +152,13 @@ impl<const D: usize> Tape<D> {
 pub fn record_evaluation<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (clock, cloud): (Res<Clock>, Res<Cloud<D>>),
-    adjoint: Res<AdjointCloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
     mut tape: ResMut<Tape<D>>,
 ) {
+    // Who was near on the way back is not who is near now.
+    adjoint.sifted = None;
     if tape.running {
-        tape.push(&cloud, (&neighbours.chunks, &adjoint.masks), clock.evaluated);
+        tape.push(&cloud, &neighbours.chunks, clock.evaluated);
     }
 }
 
@@ -176,7 +173,7 @@ pub fn rewind_evaluation<const D: usize>(
     let count = evaluation.slot_of_row.len();
     std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
     std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
-    std::mem::swap(&mut adjoint.masks, &mut evaluation.masks);
+    std::mem::swap(&mut cloud.masks, &mut evaluation.masks);
     neighbours.chunks = std::mem::take(&mut evaluation.chunks);
     // They are older than the cells: whoever goes forward from here builds both anew.
     neighbours.invalidate();
@@ -184,7 +181,7 @@ pub fn rewind_evaluation<const D: usize>(
     clock.evaluated = evaluation.step;
     // The forces that begin a step see the pairs of those that ended the one before.
     if adjoint.sifted != Some(evaluation.step) {
-        adjoint.sift(&neighbours.chunks, count);
+        adjoint.sift(cloud.pairs(&neighbours));
         adjoint.sifted = Some(evaluation.step);
     }
     tape.discard(evaluation);

@@ -135,9 +135,10 @@ fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
         let adjoint = flow.world().resource::<AdjointCloud<3>>();
         let met = adjoint.near.iter().zip(&neighbours.chunks[..]).map(|(near, all)| {
             let within = |k: usize| {
-                let lists = [near, all].map(|chunk| chunk.slots_of(k).filter(|&j| j < 512));
-                let [near, all] = lists.map(Vec::from_iter);
-                assert!(near.iter().all(|j| all.contains(j)));
+                let all = Vec::from_iter(all.slots_of(k));
+                let near = near.neighbours(k).flat_map(|eight| eight.slots());
+                let near = Vec::from_iter(near.filter(|&j| j < 512));
+                assert!(near.iter().all(|&j| all.contains(&(j as usize))));
                 near.len() as u64
             };
             (0..near.len()).map(within).sum::<u64>()

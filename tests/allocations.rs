@@ -60,7 +60,8 @@ fn more<const D: usize>(about: &str, gradient: Option<Gradient>, model: &str) ->
             Some(_) => learned::<D>(&scene),
         }
     };
-    let (few, many) = if D == 2 { (32, 96) } else { (12, 24) };
+    // Below a power of two, up to which the ECS reserves.
+    let (few, many) = if D == 2 { (31, 126) } else { (12, 25) };
     let (few, many) = (of(few), of(many));
     let [allocated, said] = [many[0] - few[0], many[1] - few[1]];
     println!("{D}D {about}: {allocated:.3e} bytes more allocated, {said:.3e} said");
@@ -114,6 +115,6 @@ fn what_a_flow_says_it_holds_is_what_it_allocates() {
         more::<3>("adjoint", adjoint, "rot-inv"),
     ];
     for ratio in ratios {
-        assert!((ratio - 1.0).abs() < 0.07, "{ratios:?}");
+        assert!((ratio - 1.0).abs() < 0.04, "{ratios:?}");
     }
 }

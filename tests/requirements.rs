@@ -175,6 +175,8 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let arrays =
         [("packed", 64.0), ("acceleration", vector), ("density", 8.0), ("slot_of_row", 4.0)];
     all.extend(arrays.map(|(name, bytes)| exactly("cloud", name, bytes)));
+    // A bit for each listed pair.
+    all.push(("cloud", "masks".to_owned(), lists_of(scene, 0.125).0));
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let cells = (scene.fluid.box_length / reach).floor().powi(scene.dimension as i32);
     let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
@@ -236,13 +238,14 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     // All parameters of the model, a chunk of particles.
     let sums = [5.0, 2000.0].map(|parameters| 8.0 * parameters / CHUNK as f64);
     all.push(("adjoint", "sums".to_owned(), sums));
-    // A bit for each listed pair, and whole slots of those who are near.
+    // Whole slots of those who are near, with room for all who are listed.
     let [least, most] = lists_of(scene, 4.0).0;
-    all.push(("adjoint", "masks".to_owned(), [least / 32.0, most / 32.0]));
     all.push(("adjoint", "lists of who is near".to_owned(), [least, most + 1.0]));
     if shares {
         let each = 64.0 * (2.0 * scene.dimension as f64 + 2.0);
-        let ([least, _], most) = lists_of(scene, 4.0);
+        let mut within = scene.clone();
+        within.time.skin = 0.0;
+        let ([least, _], most) = lists_of(&within, 4.0);
         let bytes = [each * least / 32.0, 2.0 * each * most];
         all.push(("adjoint", "shares".to_owned(), bytes));
         // Two numbers for each pair, and where each particle's begin.
@@ -397,7 +400,7 @@ fn a_third_dimension_takes_a_third_coordinate_in_every_vector() {
         let coordinates = match flat.name.as_str() {
             "Position" | "Velocity" | "Acceleration" | "acceleration" => 1.0,
             // How many neighbours there are, and cells; what vectors keep in reserve.
-            "lists" | "cells" | "positions" => continue,
+            "lists" | "masks" | "cells" | "positions" => continue,
             _ => 0.0,
         };
         let more = deep.bytes - flat.bytes;

@@ -2,6 +2,7 @@
 
 use super::Flow;
 use crate::models::Slopes;
+use crate::near::Near;
 use crate::scalar::Precision;
 use crate::systems::Program;
 use crate::systems::density_tangent::Pulls;
@@ -185,6 +186,7 @@ impl<const D: usize> Flow<D> {
             ("acceleration", room(&cloud.acceleration)),
             ("density", room(&cloud.density)),
             ("slot_of_row", room(&cloud.slot_of_row)),
+            ("masks", cloud.masks.iter().map(room).sum()),
         ];
         if cloud.precision == Precision::Mixed {
             arrays.push(("singles", room(&cloud.singles)));
@@ -241,8 +243,7 @@ impl<const D: usize> Flow<D> {
             ("scalars", room(&cloud.scalars)),
             ("carried", room(&cloud.carried)),
             ("sums", room(&cloud.sums)),
-            ("masks", cloud.masks.iter().map(room).sum()),
-            ("lists of who is near", cloud.near.iter().map(Chunk::bytes).sum()),
+            ("lists of who is near", cloud.near.iter().map(Near::bytes).sum()),
             ("shares", cloud.shares.iter().map(room).sum()),
             ("senders", cloud.senders.bytes()),
         ]

@@ -376,7 +376,7 @@ pub struct Passed<'a, const D: usize> {
     pub velocity: &'a mut [Vector<f64, D>],
     /// `(∂L/∂A, ∂L/∂ρ)`, added to.
     pub scalars: &'a mut [(f64, f64)],
-    /// What belongs to the neighbours, place by place as in the chunk's lists; filled where
+    /// What belongs to the neighbours, place by place as in the lists of who is near; filled where
     /// [`Model::passes_to_neighbours`].
     pub neighbours: &'a mut Vec<PairShare<D>>,
 }

@@ -76,11 +76,11 @@ impl<const D: usize> Node<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, nearest, window })
     }
 
-    /// The features of the neighbour at `place` of the chunk's lists for the chunk's `k`-th particle.
+    /// The features of who is near the chunk's `k`-th particle at a `place` of the lists.
     #[inline(always)]
     fn feature(&self, hood: Hood<'_>, k: usize, place: u32) -> Feature<D> {
-        let here = &hood.lines.double[hood.chunk.first + k];
-        let there = &hood.lines.double[hood.chunk.slot(place as usize)];
+        let here = &hood.lines.double[hood.near.first + k];
+        let there = &hood.lines.double[hood.near.slot(place as usize)];
         let mut separation = Vector::<f64, D>::zero();
         let mut velocity = Vector::<f64, D>::zero();
         for axis in 0..D {
@@ -97,11 +97,11 @@ impl<const D: usize> Node<D> {
         let support2 = self.medium.smoothing.support() * self.medium.smoothing.support();
         let row = &mut room.nearest[lane * self.nearest..(lane + 1) * self.nearest];
         row.fill(MISSING);
-        if k >= hood.chunk.len() {
+        if k >= hood.near.len() {
             return;
         }
         room.candidates.clear();
-        let batches = hood.chunk.range(k);
+        let batches = hood.near.range(k);
         for place in (batches.start * WIDTH) as u32..(batches.end * WIDTH) as u32 {
             let r2 = self.feature(hood, k, place).separation.norm_squared();
             if r2 < support2 {
@@ -279,10 +279,10 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
     fn run<W: Wide>(self) {
         let Self { model, hood, kept, room, into } = self;
         into.clear(Form::Matrix);
-        for first in (0..hood.chunk.len()).step_by(WIDTH) {
+        for first in (0..hood.near.len()).step_by(WIDTH) {
             model.evaluate(hood, first, room);
             model.network.jacobian(room);
-            for lane in 0..(hood.chunk.len() - first).min(WIDTH) {
+            for lane in 0..(hood.near.len() - first).min(WIDTH) {
                 let k = first + lane;
                 for rank in 0..model.nearest {
                     let place = room.nearest[lane * model.nearest + rank];
@@ -291,7 +291,7 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
                     }
                     let feature = model.feature(hood, k, place);
                     let rows = model.slope(&feature, (rank, lane), room);
-                    into.push_one(hood.chunk.slot(place as usize) as u32, &rows);
+                    into.push_one(hood.near.slot(place as usize) as u32, &rows);
                 }
                 into.close::<W, MatrixRows, D>(kept, |_| 0.0);
             }
@@ -345,13 +345,13 @@ impl<const D: usize> Pass for PullPass<'_, D> {
     fn run<W: Wide>(self) {
         let Self { model, hood, forces, room, into } = self;
         into.neighbours.fill(PairShare::ZERO);
-        for first in (0..hood.chunk.len()).step_by(WIDTH) {
+        for first in (0..hood.near.len()).step_by(WIDTH) {
             model.evaluate(hood, first, room);
-            let lanes = (hood.chunk.len() - first).min(WIDTH);
+            let lanes = (hood.near.len() - first).min(WIDTH);
             for axis in 0..D {
                 let mut force = Lanes::ZERO;
                 for lane in 0..lanes {
-                    let slot = hood.chunk.first + first + lane;
+                    let slot = hood.near.first + first + lane;
                     force.set_lane(lane, forces[slot].force[axis] * model.units.force);
                 }
                 room.output_cotangent[axis] = force;

@@ -6,7 +6,7 @@ use super::{
     Slopes, store_vector,
 };
 use crate::packed::PackedAdjoint;
-use crate::pairs::{AHEAD, Batch, Entry, Hood, adjoints};
+use crate::pairs::{AHEAD, Batch, Hood, adjoints};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
 use crate::vector::Vector;
 
@@ -59,21 +59,14 @@ impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<L: PairLaw<D>, const D: usize> ForcePass<'_, L, D> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, room, out } = self;
+        let Self { law, hood: Hood { lines, near, space }, room, out } = self;
         let all = W::lines(lines);
         for (k, acceleration) in out.iter_mut().enumerate() {
-            chunk.fetch_ahead::<W, E>(k + AHEAD, all);
-            let here = chunk.first + k;
+            near.fetch_ahead::<W>(k + AHEAD, all);
+            let here = near.first + k;
             let mut sum = Vector::<W::Double, D>::zero();
-            let space = chunk.around(k, space);
-            for eight in chunk.neighbours::<E>(k) {
+            let space = near.around(k, space);
+            for eight in near.neighbours(k) {
                 let force = law.force(&Batch::<W, D>::read(lines, here, eight, space), room);
                 sum += widen(force);
             }
@@ -108,28 +101,17 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<L: PairLaw<D>, const D: usize> SlopePass<'_, L, D> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, kept, room, into } = self;
+        let Self { law, hood: Hood { lines, near, space }, kept, room, into } = self;
         into.clear(<L::Slope<W> as Slope<W, D>>::Rows::FORM);
         let Medium { smoothing, mass, .. } = law.medium();
         let nobody = lines.double.len() - 1;
         let mut pairs = [[Lanes::ZERO; MOST_ROWS]; WIDTH];
-        for k in 0..chunk.len() {
-            let (slot, space) = (chunk.first + k, chunk.around(k, space));
-            for eight in chunk.neighbours::<E>(k) {
+        for k in 0..near.len() {
+            let (slot, space) = (near.first + k, near.around(k, space));
+            for eight in near.neighbours(k) {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
-                let sizes = law.slope(&batch, room).write(&mut pairs);
-                into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(
-                    &eight.slots(),
-                    (sizes, nobody),
-                    &pairs,
-                );
+                law.slope(&batch, room).write(&mut pairs);
+                into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(eight.entries, nobody, &pairs);
             }
             let pull = |r: f64| smoothing.gradient(r) * *mass;
             into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, pull);
@@ -151,23 +133,16 @@ impl<L: PairLaw<D>, const D: usize> Pass for WeightPass<'_, L, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<L: PairLaw<D>, const D: usize> WeightPass<'_, L, D> {
-    #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, first, room, out } = self;
+        let Self { law, hood: Hood { lines, near, space }, first, room, out } = self;
         let count = law.network().map_or(0, |network: &Learned| network.weights.len());
         for (row, shares) in out.chunks_exact_mut(count.max(1)).enumerate() {
             let (k, axis) = (first + row / D, row % D);
             let mut component = Vector::<W, D>::zero();
             component[axis] = W::of(1.0);
             room.clear();
-            let space = chunk.around(k, space);
-            for eight in chunk.neighbours::<E>(k) {
-                let batch = Batch::<W, D>::read(lines, chunk.first + k, eight, space);
+            let space = near.around(k, space);
+            for eight in near.neighbours(k) {
+                let batch = Batch::<W, D>::read(lines, near.first + k, eight, space);
                 law.pullback(&batch, component, room);
             }
             for (share, lanes) in shares.iter_mut().zip(&room.weights) {
@@ -190,28 +165,21 @@ struct PullPass<'a, L, const D: usize> {
 impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
     type Output = ();
 
-    #[inline(always)]
-    fn run<W: Wide>(self) {
-        if self.hood.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
-    }
-}
-
-impl<L: PairLaw<D>, const D: usize> PullPass<'_, L, D> {
     /// Where the two forces of a pair are opposite, its part of the loss is `(λᵢ − λⱼ)·fᵢⱼ`, from which
     /// each particle takes its own derivatives. Otherwise it is `λᵢ·fᵢⱼ`, of which the neighbour's
     /// derivatives are left for it to fetch.
     #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { law, hood: Hood { lines, chunk, space }, forces, room, into } = self;
+    fn run<W: Wide>(self) {
+        let Self { law, hood: Hood { lines, near, space }, forces, room, into } = self;
         // A copy of its own: numbers that nobody else can write stay in registers.
         let law = &law.clone();
         let both = law.is_antisymmetric();
         let mut parameters = [W::Double::of(0.0); 3];
-        for k in 0..chunk.len() {
-            let slot = chunk.first + k;
+        for k in 0..near.len() {
+            let slot = near.first + k;
             let mut sum = PairCotangent::<W::Double, D>::zero();
-            let space = chunk.around(k, space);
-            for (number, eight) in chunk.neighbours::<E>(k).enumerate() {
+            let space = near.around(k, space);
+            for (number, eight) in near.neighbours(k).enumerate() {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
                 let there = adjoints::<W>(forces, eight);
                 let mut across = Vector::<W, D>::zero();
@@ -225,7 +193,7 @@ impl<L: PairLaw<D>, const D: usize> PullPass<'_, L, D> {
                 let passed = law.pullback(&batch, across, room);
                 add_own(&mut sum, &passed);
                 if !both {
-                    let first = (chunk.range(k).start + number) * WIDTH;
+                    let first = (near.range(k).start + number) * WIDTH;
                     leave_shares(&passed, &mut into.neighbours[first..first + WIDTH]);
                 }
             }

@@ -1,6 +1,7 @@
 //! A network inside a model, and the room in which one thread evaluates it.
 
 use super::Parameter;
+use crate::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
 use crate::scalar::{Lanes, Pass, Wide, dispatch};
 
@@ -35,8 +36,10 @@ pub struct Room {
     pub shares: Vec<f64>,
     /// Particles in order of distance, see [`super::Node`].
     pub candidates: Vec<(f64, u32)>,
-    /// The nearest of each of eight particles: places in the chunk's lists.
+    /// The nearest of each of eight particles: places among those who are near.
     pub nearest: Vec<u32>,
+    /// Who is near the particles of a chunk.
+    pub near: Near,
 }
 
 impl Room {

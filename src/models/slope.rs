@@ -12,9 +12,8 @@ pub trait Slope<W: Wide, const D: usize> {
     /// How each of the pairs stands in memory.
     type Rows: PairRows<D>;
 
-    /// Puts the pairs there, one after another, and says of each how large its numbers are together: zero
-    /// of a pair that adds nothing, as one beyond the support.
-    fn write(&self, pairs: &mut EightPairs) -> Lanes;
+    /// Puts the pairs there, one after another.
+    fn write(&self, pairs: &mut EightPairs);
 
     /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by what they depend on.
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D>;
@@ -143,29 +142,24 @@ impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
     type Rows = CentralRows;
 
     #[inline(always)]
-    fn write(&self, pairs: &mut EightPairs) -> Lanes {
+    fn write(&self, pairs: &mut EightPairs) {
         let (mut by_state, mut others) = ([Lanes::ZERO; WIDTH], [Lanes::ZERO; WIDTH]);
-        let mut size = self.value.abs() + self.by_density.abs();
         for axis in 0..D {
             by_state[axis] = self.by_separation[axis].store();
             by_state[D + axis] = self.by_velocity[axis].store();
             others[axis] = self.separation[axis].store();
-            size += self.by_separation[axis].abs() + self.by_velocity[axis].abs();
         }
         by_state[2 * D] = self.by_density.store();
         by_state[2 * D + 1] = self.by_stress[0].store();
         others[D] = self.value.store();
         others[D + 1] = self.by_stress[1].store();
-        size += self.by_stress[0].abs() + self.by_stress[1].abs();
         for k in 0..3 {
             others[D + 2 + k] = self.by_parameter[k].store();
-            size += self.by_parameter[k].abs();
         }
         let (by_state, others) = (transposed::<W>(&by_state), transposed::<W>(&others));
         for (pair, (by_state, others)) in pairs.iter_mut().zip(by_state.iter().zip(others)) {
             (pair[0], pair[1]) = (by_state.store(), others.store());
         }
-        size.store()
     }
 
     #[inline(always)]
@@ -205,21 +199,18 @@ impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
     type Rows = MatrixRows;
 
     #[inline(always)]
-    fn write(&self, pairs: &mut EightPairs) -> Lanes {
-        let mut size = W::of(0.0);
+    fn write(&self, pairs: &mut EightPairs) {
         for a in 0..D {
             let mut columns = [Lanes::ZERO; WIDTH];
             for b in 0..D {
                 columns[b] = self.by_separation[a][b].store();
                 columns[D + b] = self.by_velocity[a][b].store();
-                size += self.by_separation[a][b].abs() + self.by_velocity[a][b].abs();
             }
             let rows = transposed::<W>(&columns);
             for (pair, row) in pairs.iter_mut().zip(rows) {
                 pair[a] = row.store();
             }
         }
-        size.store()
     }
 
     #[inline(always)]

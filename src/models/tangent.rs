@@ -3,7 +3,7 @@
 //!
 //! `δaᵢ = Σⱼ δfᵢⱼ` is linear in what both particles bring, and what particle `i` itself brings comes out of
 //! the sum: an [`OwnSlope`] for each particle. What stays with each pair is what its neighbour brings, and
-//! only pairs that act at all are kept.
+//! only pairs within `2h` are kept.
 
 use super::{Change, Kept, Parameter, load_vector, store_vector};
 use crate::packed::PackedSensitivity;
@@ -226,7 +226,7 @@ pub struct Slopes {
     own: Vec<Lanes>,
     /// Where each particle's pairs start; one more at the end.
     start: Vec<u32>,
-    /// The neighbour of each pair that acts.
+    /// The neighbour of each pair.
     slots: Vec<u32>,
     /// Its rows.
     rows: Vec<Lanes>,
@@ -262,27 +262,23 @@ impl Slopes {
         }
     }
 
-    /// Adds those of eight pairs that act to the particle that is under way: somebody's, of a size.
+    /// Adds eight pairs to the particle that is under way, as far as they are somebody's: nobody comes last.
     #[inline(always)]
     pub(super) fn push<R: PairRows<D>, const D: usize>(
         &mut self,
         slots: &[u32; WIDTH],
-        (sizes, nobody): (Lanes, usize),
+        nobody: usize,
         pairs: &EightPairs,
     ) {
         self.make_room(R::ROWS);
         let Some(others) = self.slots[self.filled..].first_chunk_mut::<WIDTH>() else { return };
         let rows = &mut self.rows[self.filled * R::ROWS..][..WIDTH * R::ROWS];
-        // Without a branch that nobody can predict: those that do not act are overwritten.
-        let mut count = 0;
-        for (lane, &slot) in slots.iter().enumerate() {
-            // No more than the lanes before it.
-            let place = count % WIDTH;
-            others[place] = slot;
-            rows[place * R::ROWS..][..R::ROWS].copy_from_slice(&pairs[lane][..R::ROWS]);
-            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+        *others = *slots;
+        for (rows, pair) in rows.chunks_exact_mut(R::ROWS).zip(pairs) {
+            rows.copy_from_slice(&pair[..R::ROWS]);
         }
-        self.filled += count;
+        // Nobody is overwritten.
+        self.filled += slots.iter().filter(|&&slot| slot as usize != nobody).count();
     }
 
     /// Adds a pair to the particle that is under way.

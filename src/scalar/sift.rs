@@ -159,8 +159,9 @@ mod tests {
                     numbers.extend(&some[..(mask as u8).count_ones() as usize]);
                 }
                 let mut lanes = Lanes::ZERO;
-                (0..WIDTH).for_each(|l| lanes.set_lane(l, f64::from(columns[0][first + l])));
-                masks.push(u16::from(W::load(&lanes).positive()));
+                (0..WIDTH).for_each(|l| lanes.set_lane(l, f64::from(columns[0][first + l] >> 30)));
+                lanes.set_lane(first % WIDTH, f64::NAN);
+                masks.push(u16::from(W::load(&lanes).nonzero()));
                 numbers.extend(&others[..found]);
                 numbers.extend(&all[..maybe.count_ones() as usize]);
             }

@@ -106,13 +106,13 @@ pub trait Wide: Scalar {
     ) -> u16 {
         near_box_by_loop(columns, around, first, limit)
     }
-    /// Which lanes are above zero: one bit each, the first lowest.
+    /// Which lanes are not zero, NaN among them: one bit each, the first lowest.
     #[inline(always)]
-    fn positive(self) -> u8 {
+    fn nonzero(self) -> u8 {
         let lanes = self.store().to_array();
         let mut mask = 0;
         for (lane, x) in lanes.into_iter().enumerate() {
-            mask |= u8::from(x > 0.0) << lane;
+            mask |= u8::from(x != 0.0) << lane;
         }
         mask
     }

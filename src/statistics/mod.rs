@@ -40,7 +40,7 @@ pub struct MomentumRates<const D: usize> {
 pub(crate) fn momentum_rates<const D: usize>(world: &World) -> MomentumRates<D> {
     let law = &*world.resource::<Law<D>>().0;
     let cloud = world.resource::<Cloud<D>>();
-    let neighbours = world.resource::<Neighbours<D>>();
+    let pairs = cloud.pairs(world.resource::<Neighbours<D>>());
     let rooms = world.resource::<Rooms>();
     let mut inviscid = law.boxed();
     let mut parameters: Parameters<f64> = *law.parameters();
@@ -54,8 +54,8 @@ pub(crate) fn momentum_rates<const D: usize>(world: &World) -> MomentumRates<D> 
     };
     let mut pressed = vec![Vector::zero(); cloud.len()];
     let mut viscous = pressed.clone();
-    model_accelerations(neighbours, (&*inviscid, rooms), cloud.lines(), &mut pressed);
-    model_accelerations(neighbours, (law, rooms), cloud.lines(), &mut viscous);
+    model_accelerations(pairs, (&*inviscid, rooms), &mut pressed);
+    model_accelerations(pairs, (law, rooms), &mut viscous);
     viscous.iter_mut().zip(&pressed).for_each(|(whole, pressed)| *whole -= *pressed);
     let (pressure, viscosity) = (total(&pressed), total(&viscous));
     let forcing = total(&external_forces::<D>(world));

@@ -197,12 +197,12 @@ impl Wide for Lanes256 {
         unsafe { sum_of_four(_mm256_add_pd(self.0[0], self.0[1])) }
     }
     #[inline(always)]
-    fn positive(self) -> u8 {
+    fn nonzero(self) -> u8 {
         let mut mask = 0;
         for half in 0..2 {
             unsafe {
-                let above = _mm256_cmp_pd::<_CMP_LT_OQ>(_mm256_setzero_pd(), self.0[half]);
-                mask |= (_mm256_movemask_pd(above) as u8) << (4 * half);
+                let apart = _mm256_cmp_pd::<_CMP_NEQ_UQ>(_mm256_setzero_pd(), self.0[half]);
+                mask |= (_mm256_movemask_pd(apart) as u8) << (4 * half);
             }
         }
         mask

@@ -174,8 +174,8 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
-    fn positive(self) -> u8 {
-        unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(_mm512_setzero_pd(), self.0[0]) }
+    fn nonzero(self) -> u8 {
+        unsafe { _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(_mm512_setzero_pd(), self.0[0]) }
     }
     #[inline(always)]
     fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {

@@ -126,10 +126,10 @@ impl<W: Doubles> Wide for Singles256<W> {
     wide_singles!(W);
 
     #[inline(always)]
-    fn positive(self) -> u8 {
+    fn nonzero(self) -> u8 {
         unsafe {
-            let above = _mm256_cmp_ps::<_CMP_LT_OQ>(_mm256_setzero_ps(), self.0[0]);
-            _mm256_movemask_ps(above) as u8
+            let apart = _mm256_cmp_ps::<_CMP_NEQ_UQ>(_mm256_setzero_ps(), self.0[0]);
+            _mm256_movemask_ps(apart) as u8
         }
     }
 }

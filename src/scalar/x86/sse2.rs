@@ -118,12 +118,12 @@ impl Wide for Lanes128 {
     wide_doubles!();
 
     #[inline(always)]
-    fn positive(self) -> u8 {
+    fn nonzero(self) -> u8 {
         let mut mask = 0;
         for pair in 0..4 {
             unsafe {
-                let above = _mm_cmplt_pd(_mm_setzero_pd(), self.0[pair]);
-                mask |= (_mm_movemask_pd(above) as u8) << (2 * pair);
+                let apart = _mm_cmpneq_pd(_mm_setzero_pd(), self.0[pair]);
+                mask |= (_mm_movemask_pd(apart) as u8) << (2 * pair);
             }
         }
         mask
@@ -225,12 +225,12 @@ impl Wide for Singles128 {
     wide_singles!(Lanes128);
 
     #[inline(always)]
-    fn positive(self) -> u8 {
+    fn nonzero(self) -> u8 {
         let mut mask = 0;
         for half in 0..2 {
             unsafe {
-                let above = _mm_cmplt_ps(_mm_setzero_ps(), self.0[half]);
-                mask |= (_mm_movemask_ps(above) as u8) << (4 * half);
+                let apart = _mm_cmpneq_ps(_mm_setzero_ps(), self.0[half]);
+                mask |= (_mm_movemask_ps(apart) as u8) << (4 * half);
             }
         }
         mask

@@ -1,0 +1,142 @@
+//! Who is near: of the neighbours in the lists those within the support, eight at a time.
+
+use crate::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
+use crate::pairs::Surroundings;
+use crate::scalar::{Pass, WIDTH, Wide, dispatch};
+use crate::space::PeriodicBox;
+
+/// The neighbours within `2h` of [`CHUNK`] consecutive slots: what every loop over pairs but that of the
+/// density runs over.
+///
+/// The lists of a [`Chunk`] reach a skin farther. Who of them is near is known from the density: a mask for
+/// each eight says whose weight is not zero.
+#[derive(Clone, Debug, Default)]
+pub struct Near {
+    /// First slot.
+    pub first: usize,
+    /// Where each slot's eights start; one more at the end.
+    start: Vec<u32>,
+    /// Slots of neighbours; what lies behind the last is anything.
+    slots: Vec<[u32; WIDTH]>,
+    /// Of each slot, whether some neighbour may be across the seam of the box.
+    seam: Vec<bool>,
+}
+
+impl Near {
+    /// Number of slots.
+    pub fn len(&self) -> usize {
+        self.start.len().saturating_sub(1)
+    }
+
+    /// Whether there are no slots.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (WIDTH * self.slots.capacity() + self.start.capacity()) + self.seam.capacity()
+    }
+
+    /// Number of eights in all.
+    pub fn batches(&self) -> usize {
+        self.start.last().map_or(0, |&end| end as usize)
+    }
+
+    /// Where the `k`-th slot's eights are among [`Self::batches`].
+    #[inline(always)]
+    pub fn range(&self, k: usize) -> std::ops::Range<usize> {
+        self.start[k] as usize..self.start[k + 1] as usize
+    }
+
+    /// Who is near the `k`-th slot, eight at a time, filled up to whole eights with nobody.
+    #[inline(always)]
+    pub fn neighbours(&self, k: usize) -> impl ExactSizeIterator<Item = Eight<'_, u32>> {
+        self.slots[self.range(k)].iter().map(Eight::from)
+    }
+
+    /// The box around the `k`-th slot.
+    #[inline(always)]
+    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
+        Surroundings { space, seam: self.seam[k] }
+    }
+
+    /// The slot at a place among all, `WIDTH` times [`Self::batches`] of them.
+    #[inline(always)]
+    pub fn slot(&self, place: usize) -> usize {
+        self.slots[place / WIDTH][place % WIDTH] as usize
+    }
+
+    /// The slots at all places.
+    pub fn slots(&self) -> impl DoubleEndedIterator<Item = usize> {
+        self.slots[..self.batches()].as_flattened().iter().map(|&slot| slot as usize)
+    }
+
+    /// Asks for the lines of those who are near the `k`-th slot, if there is one, where all lines do not fit
+    /// the cache.
+    #[inline(always)]
+    pub fn fetch_ahead<W: Wide>(&self, k: usize, lines: &[W::Line]) {
+        if k < self.len() {
+            fetch::<W, u32>(self.neighbours(k), lines);
+        }
+    }
+
+    /// Makes room for so many eights.
+    pub fn make_room(&mut self, eights: usize) {
+        // A whole register is written behind the last.
+        if self.slots.len() <= eights {
+            self.slots.resize(eights + 1, [0; WIDTH]);
+        }
+        self.start.reserve((CHUNK + 1).saturating_sub(self.start.len()));
+        self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
+    }
+
+    /// Becomes the lists of a chunk as far as they are in the masks of their eights; `nobody` is the slot behind
+    /// the last particle's.
+    pub fn find(&mut self, lists: &Chunk, masks: &[u8], nobody: usize) {
+        self.make_room(lists.batches());
+        self.first = lists.first;
+        self.seam.clear();
+        self.seam.extend_from_slice(lists.seam());
+        self.start.clear();
+        self.start.push(0);
+        dispatch(Sift { lists, masks, nobody: [nobody as u32; WIDTH], near: self });
+    }
+}
+
+/// Copies the lists of a chunk as far as they are in masks.
+struct Sift<'a> {
+    lists: &'a Chunk,
+    masks: &'a [u8],
+    nobody: [u32; WIDTH],
+    near: &'a mut Near,
+}
+
+impl Pass for Sift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<W: Wide>(self) {
+        if self.lists.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+    }
+}
+
+impl Sift<'_> {
+    #[inline(always)]
+    fn sweep<W: Wide, E: Entry>(self) {
+        let Self { lists, masks, nobody, near: Near { start, slots, .. } } = self;
+        let slots = slots.as_flattened_mut();
+        let mut filled = 0;
+        for k in 0..lists.len() {
+            for (eight, &mask) in lists.neighbours::<E>(k).zip(&masks[lists.range(k)]) {
+                if let Some(kept) = slots[filled..].first_chunk_mut() {
+                    W::keep_slots(mask, &eight.slots(), kept);
+                }
+                filled += mask.count_ones() as usize;
+            }
+            slots[filled..filled + WIDTH].copy_from_slice(&nobody);
+            filled = filled.next_multiple_of(WIDTH);
+            start.push((filled / WIDTH) as u32);
+        }
+    }
+}
