@@ -3,7 +3,7 @@
 use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, StressSlope};
 use crate::network::exp;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Scalar, Wide};
+use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
 use crate::state;
 use crate::vector::Vector;
 
@@ -76,14 +76,29 @@ pub(super) fn tait_stress<const D: usize>(medium: &Medium<D>, rho: Lanes) -> Lan
 }
 
 /// Three inputs, one output: by hand, with `ρ^γ = exp(γ ln ρ)` of eight particles at once.
-#[inline(always)]
 pub(super) fn tait_stress_slope<const D: usize>(medium: &Medium<D>, rho: Lanes) -> StressSlope {
     let [c, _, _, gamma, _] = medium.parameters.0;
-    let logarithm = rho.ln();
-    let power = exp(logarithm * gamma);
-    let [by_density, by_c, by_gamma] =
-        state::tait_stress_gradient((rho, logarithm, power), c, gamma);
+    let [by_density, by_c, by_gamma] = dispatch(TaitGradient { rho, c, gamma });
     let mut slope = StressSlope { by_density, ..StressSlope::ZERO };
     (slope.by_parameter[0], slope.by_parameter[3]) = (by_c, by_gamma);
     slope
+}
+
+/// `∂A/∂(ρ, c, γ)` of eight particles.
+struct TaitGradient {
+    rho: Lanes,
+    c: f64,
+    gamma: f64,
+}
+
+impl Pass for TaitGradient {
+    type Output = [Lanes; 3];
+
+    #[inline(always)]
+    fn run<W: Wide>(self) -> [Lanes; 3] {
+        let (rho, logarithm) = (W::Double::load(&self.rho), W::Double::load(&self.rho.ln()));
+        let power = exp(logarithm * self.gamma);
+        let gradient = state::tait_stress_gradient((rho, logarithm, power), self.c, self.gamma);
+        [gradient[0].store(), gradient[1].store(), gradient[2].store()]
+    }
 }
