@@ -31,8 +31,8 @@ pub struct Chunk {
     /// Where each slot's eights start; one more at the end.
     start: Vec<u32>,
     /// Entries from the base on.
-    near: Vec<[u16; WIDTH]>,
-    /// Whole slots, in place of `near`.
+    short: Vec<[u16; WIDTH]>,
+    /// Whole slots, in place of `short`.
     whole: Vec<[u32; WIDTH]>,
     /// Of each slot, whether some neighbour may be across the seam of the box.
     seam: Vec<bool>,
@@ -50,7 +50,7 @@ pub trait Entry: Copy + 'static {
 impl Entry for u16 {
     #[inline(always)]
     fn of(chunk: &Chunk) -> &[[Self; WIDTH]] {
-        &chunk.near
+        &chunk.short
     }
 
     #[inline(always)]
@@ -94,6 +94,12 @@ impl<E: Entry> Eight<'_, E> {
         self.base + self.entries[lane].distance()
     }
 
+    /// How many are somebody; nobody comes last.
+    #[inline(always)]
+    pub(crate) fn count(&self, nobody: usize) -> usize {
+        (0..WIDTH).filter(|&lane| self.slot(lane) != nobody).count()
+    }
+
     /// Their slots.
     #[inline(always)]
     pub fn slots(&self) -> [u32; WIDTH] {
@@ -121,13 +127,13 @@ impl Chunk {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let lists = 2 * self.near.capacity() + 4 * self.whole.capacity();
+        let lists = 2 * self.short.capacity() + 4 * self.whole.capacity();
         WIDTH * lists + 4 * self.start.capacity() + self.seam.capacity()
     }
 
     /// Whether neighbours are kept in two bytes, as [`u16`], and not as [`u32`].
     #[inline(always)]
-    pub fn is_near(&self) -> bool {
+    pub fn is_short(&self) -> bool {
         self.whole.is_empty()
     }
 
@@ -146,7 +152,7 @@ impl Chunk {
 
     /// Number of eights in all lists.
     pub fn batches(&self) -> usize {
-        self.near.len() + self.whole.len()
+        self.short.len() + self.whole.len()
     }
 
     /// Makes masks for [`Self::batches`] eights.
@@ -158,7 +164,7 @@ impl Chunk {
 
     /// Most masks that there have been, or room for more.
     pub fn most_masks(&self) -> usize {
-        self.near.capacity().max(self.whole.capacity())
+        self.short.capacity().max(self.whole.capacity())
     }
 
     /// Where the `k`-th slot's eights are among [`Self::batches`].
@@ -169,19 +175,12 @@ impl Chunk {
 
     /// The slot at a place in the lists.
     #[inline(always)]
-    pub fn slot(&self, place: usize) -> usize {
+    fn slot(&self, place: usize) -> usize {
         let (batch, lane) = (place / WIDTH, place % WIDTH);
-        match self.near.get(batch) {
+        match self.short.get(batch) {
             Some(near) => self.base + near[lane].distance(),
             None => self.whole[batch][lane].distance(),
         }
-    }
-
-    /// The slots at all places in the lists.
-    pub fn slots(&self) -> impl DoubleEndedIterator<Item = usize> {
-        // One of the two is empty.
-        let near = self.near.as_flattened().iter().map(|entry| self.base + entry.distance());
-        near.chain(self.whole.as_flattened().iter().map(|entry| entry.distance()))
     }
 
     /// The slots of the chunk's `k`-th slot's neighbours.
@@ -214,7 +213,7 @@ impl Chunk {
         let from_base = eights.as_flattened().iter().map(|slot| slot.wrapping_sub(base as u32));
         if particles > FEW && from_base.fold(0, u32::max) as usize > FEW {
             self.base = 0;
-            self.near.clear();
+            self.short.clear();
             copy(&mut self.whole, eights);
             return;
         }
@@ -227,7 +226,7 @@ impl Chunk {
             }
             near
         };
-        renew(&mut self.near, eights.iter().map(near));
+        renew(&mut self.short, eights.iter().map(near));
     }
 
     /// Of each slot, whether some neighbour may be across the seam of the box.
@@ -407,11 +406,11 @@ mod tests {
                 let of = |k| chunk.neighbours::<E>(k).flat_map(|eight| eight.slots());
                 (0..2).flat_map(of).collect()
             }
-            let kept = if chunk.is_near() { kept::<u16>(&chunk) } else { kept::<u32>(&chunk) };
+            let kept = if chunk.is_short() { kept::<u16>(&chunk) } else { kept::<u32>(&chunk) };
             assert_eq!(kept, written, "{first} of {particles}: {slots:?}");
-            assert!(chunk.slots().eq(written.iter().map(|&slot| slot as usize)), "{slots:?}");
-            assert!(chunk.slots_of(1).eq(chunk.slots().skip(8 * draft.neighbours(0).len())));
-            assert_eq!(chunk.is_near(), bytes == 2, "{first} of {particles}: {slots:?}, {filler}");
+            let all = (0..2).flat_map(|k| chunk.slots_of(k));
+            assert!(all.eq(written.iter().map(|&slot| slot as usize)), "{slots:?}");
+            assert_eq!(chunk.is_short(), bytes == 2, "{first} of {particles}: {slots:?}, {filler}");
             assert_eq!(
                 [chunk.range(0).len(), chunk.batches()],
                 [draft.neighbours(0).len(), written.len() / WIDTH]

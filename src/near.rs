@@ -117,7 +117,7 @@ impl Pass for Sift<'_> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.lists.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+        if self.lists.is_short() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
     }
 }
 
@@ -137,6 +137,51 @@ impl Sift<'_> {
             slots[filled..filled + WIDTH].copy_from_slice(&nobody);
             filled = filled.next_multiple_of(WIDTH);
             start.push((filled / WIDTH) as u32);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chunk::Draft;
+
+    #[test]
+    fn who_is_near_is_who_is_in_the_masks_of_short_and_of_whole_lists() {
+        let million = 1_000_000;
+        for (first, far) in [(400_000, 400_500), (0, 999_990)] {
+            let lists = [0, 1, 8, 21].map(|count| {
+                let all = (0..count).map(|k| if k % 2 == 0 { first + 3 * k } else { far - k });
+                all.collect::<Vec<u32>>()
+            });
+            let (mut draft, mut chunk) = (Draft::default(), Chunk::default());
+            draft.clear();
+            draft.first = first as usize;
+            for (k, list) in lists.iter().enumerate() {
+                draft.open(list.len())[..list.len()].copy_from_slice(list);
+                draft.fill(list.len());
+                draft.close(first as usize, k == 2);
+            }
+            chunk.copy_from(&draft, million as usize);
+            assert_eq!(chunk.is_short(), first > 0);
+            let masks = [0b1, 0b1010_0110, 0b1111_0001, 0, 0b1_0110];
+            let mut near = Near::default();
+            // What an earlier chunk left behind.
+            near.find(&chunk, &[0xff; 5], 7);
+            near.find(&chunk, &masks, million as usize);
+            assert_eq!((near.len(), near.first), (4, first as usize));
+            for (k, list) in lists.iter().enumerate() {
+                let place = chunk.range(k).start;
+                let in_mask =
+                    |&(n, _): &(usize, &u32)| masks[place + n / WIDTH] >> (n % WIDTH) & 1 == 1;
+                let kept: Vec<u32> =
+                    list.iter().enumerate().filter(in_mask).map(|(_, &slot)| slot).collect();
+                let found: Vec<u32> = near.neighbours(k).flat_map(|eight| eight.slots()).collect();
+                let (some, nobody) = found.split_at(kept.len());
+                assert_eq!(some, kept, "{k} from {first}");
+                assert!(nobody.len() < WIDTH && nobody.iter().all(|&slot| slot == million));
+                assert_eq!(near.around(k, PeriodicBox { length: 1.0 }).seam, k == 2);
+            }
         }
     }
 }

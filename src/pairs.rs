@@ -27,6 +27,14 @@ pub struct Lines<'a> {
     pub precision: Precision,
 }
 
+impl Lines<'_> {
+    /// The slot of nobody, behind the last particle's.
+    #[inline(always)]
+    pub fn nobody(&self) -> usize {
+        self.double.len() - 1
+    }
+}
+
 /// One chunk of particles with all that they touch: what a pair loop runs over.
 #[derive(Clone, Copy, Debug)]
 pub struct Hood<'a> {

@@ -42,8 +42,9 @@ pub fn accelerate<const D: usize>(
     (law, rooms): (Res<Law<D>>, Res<Rooms>),
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let (pairs, acceleration) = cloud.pairs_and_acceleration(&neighbours);
-    model_accelerations(pairs, (&*law.0, &rooms), acceleration);
+    let mut acceleration = std::mem::take(&mut cloud.acceleration);
+    model_accelerations(cloud.pairs(&neighbours), (&*law.0, &rooms), &mut acceleration);
+    cloud.acceleration = acceleration;
 }
 
 /// System: writes the accelerations back to the particles.

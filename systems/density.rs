@@ -32,7 +32,7 @@ impl<const D: usize> Pass for DensityPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        if self.chunk.is_near() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
+        if self.chunk.is_short() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
     }
 }
 
@@ -66,14 +66,17 @@ pub fn sum_density<const D: usize>(
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let (space, medium) = (neighbours.space, law.0.medium());
-    let Cloud { packed, singles, precision, density, masks, .. } = &mut *cloud;
+    let (mut density, mut masks) =
+        (std::mem::take(&mut cloud.density), std::mem::take(&mut cloud.masks));
     masks.resize_with(neighbours.chunks.len(), Vec::new);
-    let lines = Lines { double: packed, single: singles, precision: *precision };
-    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(masks);
+    let lines = cloud.lines();
+    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(&mut masks);
     chunks.with_max_len(AT_ONCE).for_each(|((chunk, density), masks)| {
         chunk.make_masks(masks);
         dispatch_in(lines.precision, DensityPass { lines, chunk, space, medium, density, masks });
     });
+    (cloud.density, cloud.masks) = (density, masks);
+    let Cloud { packed, singles, density, .. } = &mut *cloud;
     let count = density.len();
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {

@@ -3,7 +3,7 @@
 use super::density::densities;
 use crate::models::{Medium, Model, Parameter, Room, StressSlope};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::pairs::{Hood, separation};
+use crate::pairs::{Eight, Hood, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -33,20 +33,20 @@ impl<const D: usize> Pulls<D> {
 
     /// Adds eight pairs as far as they are somebody's: nobody comes last.
     #[inline(always)]
-    fn push(&mut self, slots: &[u32; WIDTH], nobody: usize, pulls: &[Lanes; D]) {
+    fn push(&mut self, others: Eight<'_, u32>, nobody: usize, pulls: &[Lanes; D]) {
         let end = self.filled + WIDTH;
         if self.slots.len() < end {
             self.slots.resize(end * 9 / 8, 0);
             self.pulls.resize(end * 9 / 8, [0.0; D]);
         }
-        self.slots[self.filled..end].copy_from_slice(slots);
+        self.slots[self.filled..end].copy_from_slice(others.entries);
         for (lane, row) in self.pulls[self.filled..end].iter_mut().enumerate() {
             for axis in 0..D {
                 row[axis] = pulls[axis].lane(lane);
             }
         }
         // Nobody is overwritten.
-        self.filled += slots.iter().filter(|&&slot| slot as usize != nobody).count();
+        self.filled += others.count(nobody);
     }
 }
 
@@ -69,7 +69,6 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
         into.filled = 0;
         into.start.clear();
         into.start.push(0);
-        let nobody = lines.double.len() - 1;
         for k in 0..near.len() {
             let space = near.around(k, space);
             let mut sum = Vector::<W::Double, D>::zero();
@@ -83,7 +82,7 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
                     sum[axis] += along;
                 }
                 if coupling == Coupling::Full {
-                    into.push(eight.entries, nobody, &pulls);
+                    into.push(eight, lines.nobody(), &pulls);
                 }
             }
             let mut own = [0.0; D];

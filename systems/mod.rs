@@ -54,7 +54,7 @@ pub enum Phase {
     Neighbours,
     /// What they see: their positions, and which velocity.
     Visible,
-    /// `ρᵏ⁺¹`, Eq. (17).
+    /// `ρᵏ⁺¹`, Eq. (17), and with it who is near enough to matter.
     Density,
     /// The forces of the model, Eqs. (2) to (7).
     Force,

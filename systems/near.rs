@@ -41,7 +41,7 @@ impl<'a> Pairs<'a> {
 
     /// Finds who is near the particles of a chunk.
     pub(super) fn find(&self, chunk: usize, near: &mut Near) {
-        near.find(&self.chunks[chunk], &self.masks[chunk], self.lines.double.len() - 1);
+        near.find(&self.chunks[chunk], &self.masks[chunk], self.lines.nobody());
     }
 
     /// A chunk of particles among all.

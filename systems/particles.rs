@@ -216,16 +216,6 @@ impl<const D: usize> Cloud<D> {
         Pairs::new(self.lines(), neighbours, &self.masks)
     }
 
-    /// The same, and the accelerations to write.
-    pub fn pairs_and_acceleration<'a>(
-        &'a mut self,
-        neighbours: &'a Neighbours<D>,
-    ) -> (Pairs<'a>, &'a mut [Vector<f64, D>]) {
-        let Self { packed, singles, precision, acceleration, masks, .. } = self;
-        let lines = Lines { double: packed, single: singles, precision: *precision };
-        (Pairs::new(lines, neighbours, masks), acceleration)
-    }
-
     /// The particles without the filler behind them.
     pub fn particles(&self) -> &[Packed] {
         &self.packed[..self.len()]

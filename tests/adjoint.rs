@@ -143,10 +143,9 @@ fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
             };
             (0..near.len()).map(within).sum::<u64>()
         });
-        let (met, listed) =
-            (met.sum::<u64>(), neighbours.chunks.iter().map(|all| all.slots().count()));
+        let (met, listed) = (met.sum::<u64>(), neighbours.chunks.iter().map(|all| all.batches()));
         assert_eq!(met, neighbours.pairs(cloud), "{}", precision.name());
-        assert!(met * 5 < 4 * listed.sum::<usize>() as u64);
+        assert!(met * 5 < 4 * 8 * listed.sum::<usize>() as u64);
     }
 }
 

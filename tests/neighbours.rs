@@ -282,7 +282,7 @@ fn lists_of_more_particles_than_two_bytes_count_lose_nobody<const D: usize>() {
     let (scene, state) = (scene::<D>(length, support, skin), cloud::<D>(COUNT, length, 5));
     let (mut flow, space) = (started(&scene, &state), space(&scene));
     let neighbours = flow.world().resource::<Neighbours<D>>();
-    let kept = |near: bool| neighbours.chunks.iter().filter(|c| c.is_near() == near).count();
+    let kept = |near: bool| neighbours.chunks.iter().filter(|c| c.is_short() == near).count();
     assert!(kept(true) > 2 * kept(false), "{} of {}", kept(true), neighbours.chunks.len());
     assert!(kept(false) > 0);
     let row = |slot: usize| neighbours.cells.row_of_slot[slot] as usize;

@@ -104,14 +104,13 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
         let Self { law, hood: Hood { lines, near, space }, kept, room, into } = self;
         into.clear(<L::Slope<W> as Slope<W, D>>::Rows::FORM);
         let Medium { smoothing, mass, .. } = law.medium();
-        let nobody = lines.double.len() - 1;
         let mut pairs = [[Lanes::ZERO; MOST_ROWS]; WIDTH];
         for k in 0..near.len() {
             let (slot, space) = (near.first + k, near.around(k, space));
             for eight in near.neighbours(k) {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
                 law.slope(&batch, room).write(&mut pairs);
-                into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(eight.entries, nobody, &pairs);
+                into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(eight, lines.nobody(), &pairs);
             }
             let pull = |r: f64| smoothing.gradient(r) * *mass;
             into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, pull);

@@ -7,6 +7,7 @@
 
 use super::{Change, Kept, Parameter, load_vector, store_vector};
 use crate::packed::PackedSensitivity;
+use crate::pairs::Eight;
 use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -266,19 +267,18 @@ impl Slopes {
     #[inline(always)]
     pub(super) fn push<R: PairRows<D>, const D: usize>(
         &mut self,
-        slots: &[u32; WIDTH],
+        others: Eight<'_, u32>,
         nobody: usize,
         pairs: &EightPairs,
     ) {
         self.make_room(R::ROWS);
-        let Some(others) = self.slots[self.filled..].first_chunk_mut::<WIDTH>() else { return };
+        self.slots[self.filled..self.filled + WIDTH].copy_from_slice(others.entries);
         let rows = &mut self.rows[self.filled * R::ROWS..][..WIDTH * R::ROWS];
-        *others = *slots;
         for (rows, pair) in rows.chunks_exact_mut(R::ROWS).zip(pairs) {
             rows.copy_from_slice(&pair[..R::ROWS]);
         }
         // Nobody is overwritten.
-        self.filled += slots.iter().filter(|&&slot| slot as usize != nobody).count();
+        self.filled += others.count(nobody);
     }
 
     /// Adds a pair to the particle that is under way.

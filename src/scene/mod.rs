@@ -275,7 +275,7 @@ impl Scene {
     /// dimensions, 0.2 in two.
     ///
     /// Neighbours part by some tenth of a spacing in a step, so that lists serve two or three; a longer
-    /// skin costs every force evaluation more than it saves builds. `tests/measure/README.md` has the times.
+    /// skin costs every density more than it saves builds. `tests/measure/README.md` has the times.
     pub fn usual_skin(&self) -> f64 {
         let spacing = self.fluid.box_length / self.fluid.particles_per_side as f64;
         let spacings = if self.dimension == 3 { 0.26 } else { 0.2 };
