@@ -79,6 +79,12 @@ impl<const D: usize> Cells<D> {
         middle
     }
 
+    /// Two to this power are as many fixed-point steps as make two cells 2¹⁵ steps or less, or the box 2¹⁶ where
+    /// it is less than four cells wide.
+    pub fn window_shift(&self) -> u32 {
+        18_u32.saturating_sub(self.per_axis.max(4).ilog2())
+    }
+
     /// Slots of the cell at `coordinates`.
     #[inline(always)]
     pub fn slots(&self, coordinates: [usize; D]) -> std::ops::Range<usize> {

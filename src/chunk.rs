@@ -39,12 +39,15 @@ pub struct Chunk {
 }
 
 /// How a neighbour is kept.
-pub trait Entry: Copy + 'static {
+pub trait Entry: Copy + Default + 'static {
     /// Those of a chunk.
     fn of(chunk: &Chunk) -> &[[Self; WIDTH]];
 
     /// Slots from the chunk's base on.
     fn distance(self) -> usize;
+
+    /// Whoever is so many slots from the chunk's base.
+    fn at(distance: usize) -> Self;
 }
 
 impl Entry for u16 {
@@ -57,6 +60,11 @@ impl Entry for u16 {
     fn distance(self) -> usize {
         usize::from(self)
     }
+
+    #[inline(always)]
+    fn at(distance: usize) -> Self {
+        distance as Self
+    }
 }
 
 impl Entry for u32 {
@@ -68,6 +76,11 @@ impl Entry for u32 {
     #[inline(always)]
     fn distance(self) -> usize {
         self as usize
+    }
+
+    #[inline(always)]
+    fn at(distance: usize) -> Self {
+        distance as Self
     }
 }
 
@@ -198,17 +211,21 @@ impl Chunk {
         }
     }
 
+    /// The slot that the neighbours of slots from `first` on are counted from, in a flow of so many
+    /// `particles`: as much before the chunk as behind it.
+    #[inline(always)]
+    pub fn base_of(first: usize, particles: usize) -> usize {
+        let middle = (first + CHUNK / 2).saturating_sub(FEW.div_ceil(2));
+        middle.min(particles.saturating_sub(FEW))
+    }
+
     /// Becomes a copy of lists of a flow of so many `particles`. A first copy has just the room it needs; one
     /// that must grow takes a sixteenth more, so that it seldom does.
     #[inline(always)]
     pub fn copy_from(&mut self, draft: &Draft, particles: usize) {
-        self.first = draft.first;
-        copy(&mut self.seam, &draft.seam);
-        renew(&mut self.start, draft.start.iter().map(|&start| start / WIDTH as u32));
-        let eights = draft.index[..draft.filled].as_chunks::<WIDTH>().0;
-        // As much before the chunk as behind it.
-        let middle = (draft.first + CHUNK / 2).saturating_sub(FEW.div_ceil(2));
-        let base = middle.min(particles.saturating_sub(FEW));
+        self.copy_slots(draft);
+        let base = Self::base_of(draft.first, particles);
+        let eights = draft.eights();
         // Slots before the base become the largest.
         let from_base = eights.as_flattened().iter().map(|slot| slot.wrapping_sub(base as u32));
         if particles > FEW && from_base.fold(0, u32::max) as usize > FEW {
@@ -219,14 +236,31 @@ impl Chunk {
         }
         self.base = base;
         self.whole.clear();
-        let near = |eight: &[u32; WIDTH]| {
-            let mut near = [0; WIDTH];
-            for (near, slot) in near.iter_mut().zip(eight) {
-                *near = slot.wrapping_sub(base as u32) as u16;
+        let short = |eight: &[u32; WIDTH]| {
+            let mut short = [0; WIDTH];
+            for (short, slot) in short.iter_mut().zip(eight) {
+                *short = slot.wrapping_sub(base as u32) as u16;
             }
-            near
+            short
         };
-        renew(&mut self.short, eights.iter().map(near));
+        renew(&mut self.short, eights.iter().map(short));
+    }
+
+    /// As [`Self::copy_from`], of lists that are counted from [`Self::base_of`] already.
+    #[inline(always)]
+    pub fn copy_short(&mut self, lists: &Lists<u16>, particles: usize) {
+        self.copy_slots(lists);
+        self.base = Self::base_of(lists.first, particles);
+        self.whole.clear();
+        copy(&mut self.short, lists.eights());
+    }
+
+    /// Copies everything but the neighbours.
+    #[inline(always)]
+    fn copy_slots<E>(&mut self, lists: &Lists<E>) {
+        self.first = lists.first;
+        copy(&mut self.seam, &lists.seam);
+        renew(&mut self.start, lists.start.iter().map(|&start| start / WIDTH as u32));
     }
 
     /// Of each slot, whether some neighbour may be across the seam of the box.
@@ -271,20 +305,23 @@ fn renew<T>(into: &mut Vec<T>, from: impl ExactSizeIterator<Item = T>) {
 
 /// The neighbours of some consecutive slots, as they are written.
 #[derive(Clone, Debug, Default)]
-pub struct Draft {
+pub struct Lists<E> {
     /// First of the slots.
     pub first: usize,
     /// Where each slot's neighbours start in `index`; one more at the end.
     start: Vec<u32>,
-    /// Slots, filled up to whole eights with the slot of nobody, `N`.
-    index: Vec<u32>,
+    /// Neighbours, filled up to whole eights.
+    index: Vec<E>,
     /// How much of `index` is filled.
     filled: usize,
     /// Of each slot, whether some neighbour may be across the seam of the box.
     seam: Vec<bool>,
 }
 
-impl Draft {
+/// Neighbours by their slots, as they are written.
+pub type Draft = Lists<u32>;
+
+impl<E> Lists<E> {
     /// Number of slots.
     pub fn len(&self) -> usize {
         self.start.len().saturating_sub(1)
@@ -297,8 +334,20 @@ impl Draft {
 
     /// The neighbours of the `k`-th slot, eight at a time.
     #[inline(always)]
-    pub fn neighbours(&self, k: usize) -> &[[u32; WIDTH]] {
+    pub fn neighbours(&self, k: usize) -> &[[E; WIDTH]] {
         self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
+    }
+
+    /// The neighbours of all slots.
+    #[inline(always)]
+    fn eights(&self) -> &[[E; WIDTH]] {
+        self.index[..self.filled].as_chunks().0
+    }
+
+    /// Forgets all lists; the next are those of slots from `first` on.
+    pub fn begin(&mut self, first: usize) {
+        self.clear();
+        self.first = first;
     }
 
     /// Forgets all lists.
@@ -309,45 +358,51 @@ impl Draft {
         self.filled = 0;
     }
 
+    /// Adds the neighbours that were written to the front of what [`Self::open`] returned.
+    #[inline(always)]
+    pub fn fill(&mut self, neighbours: usize) {
+        self.filled += neighbours;
+    }
+
+    /// How many neighbours all lists together have room for.
+    pub fn room(&self) -> usize {
+        self.index.len()
+    }
+}
+
+impl<E: Entry> Lists<E> {
     /// Begins the list of a slot, of at most so many candidates: where it goes.
     #[inline(always)]
-    pub fn open(&mut self, candidates: usize) -> &mut [u32] {
+    pub fn open(&mut self, candidates: usize) -> &mut [E] {
         self.make_room(self.filled + candidates + 4 * WIDTH);
         &mut self.index[self.filled..]
     }
 
-    /// Adds the slots that were written to the front of what [`Self::open`] returned.
+    /// Makes room for so many neighbours in all lists, and for the lists of [`CHUNK`] slots.
     #[inline(always)]
-    pub fn fill(&mut self, slots: usize) {
-        self.filled += slots;
-    }
-
-    /// How many slots all lists together have room for.
-    pub fn room(&self) -> usize {
-        self.index.len()
-    }
-
-    /// Makes room for so many slots in all lists, and for the lists of [`CHUNK`] slots.
-    #[inline(always)]
-    pub fn make_room(&mut self, slots: usize) {
-        if self.index.len() < slots {
-            self.index.resize(slots, 0);
+    pub fn make_room(&mut self, neighbours: usize) {
+        if self.index.len() < neighbours {
+            self.index.resize(neighbours, E::default());
             self.start.reserve((CHUNK + 1).saturating_sub(self.start.len()));
             self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
         }
     }
 
-    /// Ends the list of a slot, with the slot of nobody up to whole eights; `seam` says whether a neighbour
-    /// may be across the seam of the box, while the list is used.
+    /// Ends the list of a slot, with nobody, who is so far from the base, up to whole eights; `seam` says
+    /// whether a neighbour may be across the seam of the box, while the list is used.
     #[inline(always)]
     pub fn close(&mut self, nobody: usize, seam: bool) {
         self.seam.push(seam);
-        let whole = self.filled.next_multiple_of(WIDTH);
-        self.index[self.filled..whole].fill(nobody as u32);
-        self.filled = whole;
-        self.start.push(whole as u32);
+        // A whole register at once: there is room behind the last.
+        if let Some(rest) = self.index[self.filled..].first_chunk_mut::<WIDTH>() {
+            *rest = [E::at(nobody); WIDTH];
+        }
+        self.filled = self.filled.next_multiple_of(WIDTH);
+        self.start.push(self.filled as u32);
     }
+}
 
+impl Draft {
     /// Ends all lists.
     pub fn finish(&mut self) {
         self.index.truncate(self.filled);

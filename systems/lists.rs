@@ -1,58 +1,125 @@
 //! The lists of one chunk of particles: who of the cells around is in reach.
+//!
+//! Those who may be near somebody of a cell are gathered once for all its particles, in two words of 32 bits each: where
+//! they are, in sixteen bits along each axis, and who they are. Whole numbers have the same bits on every
+//! instruction set; whom they leave in doubt is looked at in doubles.
 
 use crate::cells::Cells;
-use crate::chunk::FEW;
+use crate::chunk::{FEW, Lists};
 use crate::packed::PackedSingle;
-use crate::pairs::{CHUNK, Chunk, Draft};
-use crate::scalar::{Pass, WIDTH, Wide};
+use crate::pairs::{CHUNK, Chunk, Draft, Entry};
+use crate::scalar::{Pass, WIDTH, Wide, Window};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
-/// What a thread needs while it builds the lists of a chunk, used again for the next.
-#[derive(Clone, Debug)]
-pub(super) struct Workbench<const D: usize> {
-    /// Fixed-point coordinates of everyone who may be near somebody of one cell, with two [`WIDTH`] more.
-    columns: [Vec<i32>; D],
-    /// Their slots.
+/// Sixteen words.
+type Words = [u32; 2 * WIDTH];
+
+/// Everyone who may be near somebody of one cell.
+#[derive(Clone, Debug, Default)]
+struct Crowd {
+    /// Where they are, and who: [`Window::words`], with their distance from the chunk's base above z.
+    words: [Vec<Words>; 2],
+    /// Their slots, where these are too far from the base.
     slots: Vec<u32>,
     /// How many they are.
     count: usize,
-    /// The lists, before they are copied to where they stay.
-    pub(super) lists: Draft,
+    /// The number of the first of those whose lists are written; the others follow.
+    own: usize,
 }
 
-impl<const D: usize> Default for Workbench<D> {
-    fn default() -> Self {
-        Self {
-            columns: std::array::from_fn(|_| Vec::new()),
-            slots: Vec::new(),
-            count: 0,
-            lists: Draft::default(),
-        }
-    }
-}
-
-impl<const D: usize> Workbench<D> {
+impl Crowd {
     /// Nobody, with room for so many.
     #[inline(always)]
     fn clear(&mut self, candidates: usize) {
         self.count = 0;
-        let room = candidates + 4 * WIDTH;
-        if self.slots.len() < room {
-            self.slots.resize(room, 0);
-            self.columns.iter_mut().for_each(|column| column.resize(room, 0));
+        // Sixteen words are written behind the last.
+        let room = candidates.div_ceil(2 * WIDTH) + 1;
+        if self.slots.len() < 2 * WIDTH * room {
+            self.slots.resize(2 * WIDTH * room, 0);
+            self.words.iter_mut().for_each(|words| words.resize(room, [0; 2 * WIDTH]));
         }
     }
+}
 
+/// What a thread needs while it builds the lists of a chunk, used again for the next.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Workbench {
+    crowd: Crowd,
+    /// The lists, before they are copied to where they stay: in two bytes for each neighbour,
+    short: Lists<u16>,
+    /// and where these are too few.
+    whole: Draft,
+}
+
+impl Workbench {
     /// Gives all of them the room of the largest: which thread meets the fullest cells is up to the
     /// scheduler, and whoever meets them next shall find room.
     pub(super) fn level(benches: &mut [Self]) {
-        let candidates = benches.iter().map(|bench| bench.slots.len()).max().unwrap_or_default();
-        let listed = benches.iter().map(|bench| bench.lists.room()).max().unwrap_or_default();
+        let most = |room: fn(&Self) -> usize| benches.iter().map(room).max().unwrap_or_default();
+        let candidates = most(|bench| bench.crowd.slots.len());
+        let listed = most(|bench| bench.short.room());
+        let whole = most(|bench| bench.whole.room());
         for bench in benches {
-            bench.clear(candidates.saturating_sub(4 * WIDTH));
-            bench.lists.make_room(listed);
+            bench.crowd.clear(candidates.saturating_sub(2 * WIDTH));
+            bench.short.make_room(listed);
+            bench.whole.make_room(whole);
         }
+    }
+}
+
+/// How a neighbour is written.
+trait Written: Entry {
+    /// Whether a crowd needs the slots, as words have no room for them.
+    const BY_SLOT: bool;
+
+    /// Writes those of sixteen, from number `first` on, that are in a mask to the front of `kept`.
+    fn keep<W: Wide>(mask: u16, words: &Words, first: usize, kept: &mut [Self]);
+
+    /// Turns what was written to what is listed.
+    fn finish(written: &mut [Self], crowd: &Crowd);
+
+    /// The slot of number `number` of a crowd.
+    fn slot(crowd: &Crowd, number: usize, base: usize) -> usize;
+}
+
+impl Written for u16 {
+    const BY_SLOT: bool = false;
+
+    #[inline(always)]
+    fn keep<W: Wide>(mask: u16, words: &Words, _: usize, kept: &mut [Self]) {
+        if let Some(kept) = kept.first_chunk_mut() {
+            W::keep_tags(mask, words, kept);
+        }
+    }
+
+    #[inline(always)]
+    fn finish(_: &mut [Self], _: &Crowd) {}
+
+    fn slot(crowd: &Crowd, number: usize, base: usize) -> usize {
+        base + (crowd.words[1].as_flattened()[number] >> 16) as usize
+    }
+}
+
+impl Written for u32 {
+    const BY_SLOT: bool = true;
+
+    #[inline(always)]
+    fn keep<W: Wide>(mask: u16, _: &Words, first: usize, kept: &mut [Self]) {
+        if let Some(kept) = kept.first_chunk_mut() {
+            W::compress(mask, first as u32, kept);
+        }
+    }
+
+    #[inline(always)]
+    fn finish(written: &mut [Self], crowd: &Crowd) {
+        for number in written {
+            *number = crowd.slots[*number as usize];
+        }
+    }
+
+    fn slot(crowd: &Crowd, number: usize, _: usize) -> usize {
+        crowd.slots[number] as usize
     }
 }
 
@@ -70,31 +137,33 @@ pub(super) struct ListPass<'a, const D: usize> {
     pub(super) reach: (f64, f64),
 }
 
-impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench<D>, &mut Chunk) {
+/// Distances in steps of a [`Window`].
+struct Steps {
+    /// Steps are 2 to so many fixed-point steps.
+    shift: u32,
+    /// Squares of distances below which somebody is surely within reach, and from which on surely not.
+    limits: [u32; 2],
+    /// Squares of distances to the box around the particles of a cell from which on somebody is in
+    /// nobody's reach.
+    from_box: u32,
+    /// How far from the seam of the box, in fixed-point steps, neither a particle nor a neighbour can cross it
+    /// while the lists are used.
+    margin: u32,
+}
+
+impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench, &mut Chunk) {
     type Output = ();
 
     #[inline(always)]
     fn run<W: Wide>(self) {
         let (pass, bench, chunk) = self;
-        let count = pass.columns[0].len() - 2 * WIDTH;
-        let limits = PackedSingle::limits(pass.reach.0, pass.space);
-        let end = (pass.first + CHUNK).min(count);
-        bench.lists.clear();
-        bench.lists.first = pass.first;
-        let mut slot = pass.first;
-        while slot < end {
-            // Particles of one cell follow each other, and look into the same cells.
-            let cell = pass.cells.coordinates_of(pass.place(slot));
-            let until = pass.cells.slots(cell).end.min(end);
-            pass.gather::<W>(cell, slot..until, limits[1], bench);
-            let nobody = pass.nobody_near(cell, count);
-            while slot < until {
-                pass.list::<W>(slot, limits, bench);
-                bench.lists.close(nobody, pass.is_near_seam(slot));
-                slot += 1;
-            }
+        let (steps, count) = (pass.steps(), pass.count());
+        if pass.write::<W, u16>(&steps, &mut bench.crowd, &mut bench.short) {
+            chunk.copy_short(&bench.short, count);
+        } else {
+            pass.write::<W, u32>(&steps, &mut bench.crowd, &mut bench.whole);
+            chunk.copy_from(&bench.whole, count);
         }
-        chunk.copy_from(&bench.lists, count);
     }
 }
 
@@ -109,6 +178,12 @@ fn slices<const D: usize>(columns: &[Vec<i32>; D]) -> [&[i32]; D] {
 }
 
 impl<const D: usize> ListPass<'_, D> {
+    /// How many particles there are.
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.columns[0].len() - 2 * WIDTH
+    }
+
     /// Fixed-point coordinates of a slot.
     #[inline(always)]
     fn place(&self, slot: usize) -> [i32; D] {
@@ -119,95 +194,170 @@ impl<const D: usize> ListPass<'_, D> {
         place
     }
 
-    /// The smallest box that holds some slots of one cell: its middle and half its width.
-    #[inline(always)]
-    fn hull(&self, cell: [usize; D], slots: std::ops::Range<usize>) -> ([i32; D], [f32; D]) {
-        let (mut middle, mut half) = (self.cells.middle(cell), [0.0; D]);
-        for axis in 0..D {
-            let (mut least, mut most) = (i32::MAX, i32::MIN);
-            for &x in &self.columns[axis][slots.clone()] {
-                let from_middle = x.wrapping_sub(middle[axis]);
-                least = least.min(from_middle);
-                most = most.max(from_middle);
-            }
-            // Cells are not wider than the box, and half of that is the largest number here.
-            let width = most.wrapping_sub(least) as u32;
-            middle[axis] = middle[axis].wrapping_add(least).wrapping_add((width / 2) as i32);
-            half[axis] = (width / 2 + 1) as f32;
+    /// How far the lists reach, in steps.
+    fn steps(&self) -> Steps {
+        let (reach, carried) = self.reach;
+        let fixed_point = PackedSingle::STEPS / self.space.length;
+        let shift = self.cells.window_shift();
+        let step = f64::from(1_u32 << shift);
+        // Coordinates are cut off to whole steps, and were rounded to fixed point before: their differences are
+        // known to a step and a fixed-point step along each axis.
+        let doubt = (D as f64).sqrt() * (1.0 + 1.0 / step) + 1e-3;
+        let r = reach * fixed_point / step;
+        let least = (r - doubt).max(0.0);
+        // Conversions to whole numbers stop at the largest, beyond which no square is.
+        Steps {
+            shift,
+            limits: [(least * least) as u32, ((r + doubt) * (r + doubt)).ceil() as u32],
+            from_box: ((r + doubt) * (r + doubt)).ceil() as u32,
+            margin: ((reach + carried) * fixed_point + 4.0) as u32,
         }
-        (middle, half)
     }
 
-    /// Finds everyone within a distance of some slots of a cell; `limit` is on its square, in fixed-point
-    /// steps.
+    /// Writes the lists of the chunk; stops and says so where somebody is too far from its base for an entry.
     #[inline(always)]
-    fn gather<W: Wide>(
+    fn write<W: Wide, E: Written>(
         &self,
-        cell: [usize; D],
-        slots: std::ops::Range<usize>,
-        limit: f32,
-        bench: &mut Workbench<D>,
-    ) {
-        let (around, hull) = (self.cells.around(cell), self.hull(cell, slots));
-        // Singles know the distance from the box to a few parts in ten million.
-        let limit = limit * (1.0 + 1e-5);
-        bench.clear(around.candidates());
+        steps: &Steps,
+        crowd: &mut Crowd,
+        lists: &mut Lists<E>,
+    ) -> bool {
+        let count = self.count();
+        let base = if E::BY_SLOT { 0 } else { Chunk::base_of(self.first, count) };
+        let end = (self.first + CHUNK).min(count);
+        lists.begin(self.first);
+        let mut slot = self.first;
+        while slot < end {
+            // Particles of one cell follow each other, and look into the same cells.
+            let cell = self.cells.coordinates_of(self.place(slot));
+            let until = self.cells.slots(cell).end.min(end);
+            let nobody = self.nobody_near(cell, count).wrapping_sub(base);
+            let window = self.window(cell, slot..until, steps);
+            if !self.gather::<W, E>((cell, slot), &window, base, crowd)
+                || (!E::BY_SLOT && nobody > FEW)
+            {
+                return false;
+            }
+            for (number, slot) in (crowd.own..).zip(slot..until) {
+                self.list::<W, E>(slot, (&window, number, base), steps.limits, (crowd, lists));
+                lists.close(nobody, self.is_near_seam(slot, steps.margin));
+            }
+            slot = until;
+        }
+        true
+    }
+
+    /// The window around the smallest box that holds some slots of one cell.
+    #[inline(always)]
+    fn window(&self, cell: [usize; D], slots: std::ops::Range<usize>, steps: &Steps) -> Window<D> {
+        let mut middle = self.cells.middle(cell);
+        let (mut least, mut most) = ([i32::MAX; D], [i32::MIN; D]);
+        for slot in slots {
+            for axis in 0..D {
+                let from_middle = self.columns[axis][slot].wrapping_sub(middle[axis]);
+                least[axis] = least[axis].min(from_middle);
+                most[axis] = most[axis].max(from_middle);
+            }
+        }
+        let mut half = [0; D];
+        for axis in 0..D {
+            // Cells are not wider than the box, and half of that is the largest number here.
+            let width = most[axis].wrapping_sub(least[axis]) as u32;
+            middle[axis] = middle[axis].wrapping_add(least[axis]).wrapping_add((width / 2) as i32);
+            half[axis] = ((width / 2 + 1) >> steps.shift) as u16 + 1;
+        }
+        Window { middle, shift: steps.shift, half, limit: steps.from_box }
+    }
+
+    /// Finds everyone who may be in reach of somebody in the box of a window, in the cells around; those whose lists
+    /// are written begin with a slot. Stops and says so where somebody is too far from the base for an entry.
+    #[inline(always)]
+    fn gather<W: Wide, E: Written>(
+        &self,
+        (cell, own): ([usize; D], usize),
+        window: &Window<D>,
+        base: usize,
+        crowd: &mut Crowd,
+    ) -> bool {
+        let around = self.cells.around(cell);
+        crowd.clear(around.candidates());
         // What the loop writes to does not hold what it reads from.
         let columns = slices(self.columns);
-        let slots = &mut bench.slots[..];
-        let mut places = bench.columns.each_mut();
+        let [xy, zt] = crowd.words.each_mut().map(|words| words.as_flattened_mut());
+        let slots = &mut crowd.slots[..];
         let mut count = 0;
         for range in around.ranges() {
-            let end = range.to as usize;
-            for first in (range.from as usize..end).step_by(2 * WIDTH) {
+            let (from, end) = (range.from as usize, range.to as usize);
+            if !E::BY_SLOT && (from < base || end > base + FEW + 1) {
+                return false;
+            }
+            for first in (from..end).step_by(2 * WIDTH) {
                 let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
-                let mask = W::near_box(&columns, hull, first, limit) & inside;
-                for (column, places) in columns.iter().zip(&mut places) {
-                    let all = column[first..].first_chunk();
-                    if let (Some(all), Some(kept)) = (all, places[count..].first_chunk_mut()) {
-                        W::keep(mask, all, kept);
-                    }
-                }
-                if let Some(slots) = slots[count..].first_chunk_mut() {
+                let (xy, zt) = (xy[count..].first_chunk_mut(), zt[count..].first_chunk_mut());
+                let (Some(xy), Some(zt)) = (xy, zt) else { return false };
+                let tag = first.wrapping_sub(base) as u16;
+                let mask = W::gather(&columns, window, (first, inside), tag, [xy, zt]);
+                if E::BY_SLOT
+                    && let Some(slots) = slots[count..].first_chunk_mut()
+                {
                     W::compress(mask, first as u32, slots);
+                }
+                if (first..end.min(first + 2 * WIDTH)).contains(&own) {
+                    let before = mask & !(u16::MAX << (own - first));
+                    crowd.own = count + before.count_ones() as usize;
                 }
                 count += mask.count_ones() as usize;
             }
         }
-        bench.count = count;
+        crowd.count = count;
+        true
     }
 
-    /// The list of one slot from the candidates of its cell.
+    /// The list of one slot from the crowd around its cell.
     #[inline(always)]
-    fn list<W: Wide>(&self, slot: usize, limits: [f32; 2], bench: &mut Workbench<D>) {
-        let here = self.place(slot);
-        let Workbench { columns, slots, count, lists } = bench;
-        let (columns, slots, count) = (slices(columns), &slots[..], *count);
-        let index = lists.open(count);
+    fn list<W: Wide, E: Written>(
+        &self,
+        slot: usize,
+        (window, own, base): (&Window<D>, usize, usize),
+        limits: [u32; 2],
+        (crowd, lists): (&Crowd, &mut Lists<E>),
+    ) {
+        let here = window.words(self.place(slot));
+        let index = lists.open(crowd.count);
         let mut filled = 0;
-        for first in (0..count).step_by(2 * WIDTH) {
-            let inside = u16::MAX >> (2 * WIDTH - (count - first).min(2 * WIDTH));
-            let [mut near, maybe] = W::near(&columns, here, first, limits);
-            let Some(others) = slots[first..].first_chunk() else { break };
+        let [xy, zt] = crowd.words.each_ref().map(|words| &words[..]);
+        for (number, (xy, zt)) in xy.iter().zip(zt).enumerate() {
+            let first = 2 * WIDTH * number;
+            if first >= crowd.count {
+                break;
+            }
+            let mut inside = u16::MAX >> (2 * WIDTH - (crowd.count - first).min(2 * WIDTH));
+            // Nobody is a neighbour of himself.
+            if own / (2 * WIDTH) == number {
+                inside &= !(1 << (own % (2 * WIDTH)));
+            }
+            let [mut near, maybe] = W::within([xy, zt], here, limits);
             if near != maybe {
-                near |= self.look_closer(slot, others, maybe & inside & !near);
+                let doubtful = maybe & inside & !near;
+                near |= self.look_closer(slot, doubtful, |bit| E::slot(crowd, first + bit, base));
             }
-            if let Some(kept) = index[filled..].first_chunk_mut() {
-                filled += W::keep_others(near & inside, others, slot as u32, kept);
-            }
+            near &= inside;
+            E::keep::<W>(near, zt, first, &mut index[filled..]);
+            filled += near.count_ones() as usize;
         }
+        E::finish(&mut index[..filled], crowd);
         lists.fill(filled);
     }
 
-    /// Which of sixteen slots that are in a mask are in reach, in doubles.
+    /// Which of sixteen others that are in a mask are in reach, in doubles.
     #[cold]
-    fn look_closer(&self, slot: usize, others: &[u32; 2 * WIDTH], mask: u16) -> u16 {
+    fn look_closer(&self, slot: usize, mask: u16, other: impl Fn(usize) -> usize) -> u16 {
         let near = |bit: &usize| {
             // Outside of the mask there may be nobody.
             mask >> bit & 1 == 1 && {
                 let rows = &self.cells.row_of_slot;
                 let [here, there] =
-                    [slot, others[*bit] as usize].map(|slot| (self.position)(rows[slot] as usize));
+                    [slot, other(*bit)].map(|slot| (self.position)(rows[slot] as usize));
                 let apart = self.space.minimum_image(here - there);
                 apart.norm_squared() < self.reach.0 * self.reach.0
             }
@@ -226,13 +376,10 @@ impl<const D: usize> ListPass<'_, D> {
     /// Whether, before the lists are built anew, the particle or a neighbour of it may cross the seam of
     /// the box.
     #[inline(always)]
-    fn is_near_seam(&self, slot: usize) -> bool {
-        let (reach, carried) = self.reach;
-        let margin = (reach + carried) * (PackedSingle::STEPS / self.space.length) + 4.0;
+    fn is_near_seam(&self, slot: usize, margin: u32) -> bool {
         let mut near = false;
         for x in self.place(slot) {
-            let x = f64::from(x as u32);
-            near |= x < margin || x > PackedSingle::STEPS - margin;
+            near |= (x as u32).wrapping_add(margin) <= margin.saturating_mul(2);
         }
         near
     }

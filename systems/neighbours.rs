@@ -47,7 +47,7 @@ pub struct Neighbours<const D: usize> {
     columns: [Vec<i32>; D],
     /// How far particles have moved since.
     movement: Movement,
-    benches: Pool<Workbench<D>>,
+    benches: Pool<Workbench>,
 }
 
 impl<const D: usize> Neighbours<D> {

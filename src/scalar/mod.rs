@@ -16,6 +16,7 @@ mod x86;
 
 pub use dual::Dual;
 pub use lanes::{Lanes, WIDTH};
+pub use sift::Window;
 pub use singles::Singles;
 pub use wide::{
     Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set, transposed,

@@ -51,34 +51,114 @@ pub(super) fn near_by_loop<C: AsRef<[i32]>, const D: usize>(
     masks
 }
 
-/// [`Wide::near_box`] place by place.
-#[inline(always)]
-pub(super) fn near_box_by_loop<C: AsRef<[i32]>, const D: usize>(
-    columns: &[C; D],
-    (middle, half): ([i32; D], [f32; D]),
-    first: usize,
-    limit: f32,
-) -> u16 {
-    let mut mask = 0;
-    for place in 0..2 * WIDTH {
-        let mut square = 0.0;
-        for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
-            let apart = column.as_ref()[first + place].wrapping_sub(middle) as f32;
-            let outside = (apart.abs() - half).max(0.0);
-            square += outside * outside;
+/// Surroundings of a cell, in which places take sixteen bits along each axis: fixed-point steps from the middle,
+/// divided by a power of two so that two cells are at most 2¹⁵ of what is left, a step.
+///
+/// Where a box is less than four cells wide, it is 2¹⁶ steps wide itself, so that their differences wrap around as
+/// the box does.
+#[derive(Clone, Copy, Debug)]
+pub struct Window<const D: usize> {
+    /// The middle, in fixed-point steps.
+    pub middle: [i32; D],
+    /// Steps are 2 to so many fixed-point steps.
+    pub shift: u32,
+    /// Half the width of a box around the middle along each axis, in steps.
+    pub half: [u16; D],
+    /// The square of a distance to that box, in steps, from which on somebody is too far.
+    pub limit: u32,
+}
+
+impl<const D: usize> Window<D> {
+    /// A place of fixed-point coordinates in two words: x below y, and z below zeros.
+    #[inline(always)]
+    pub fn words(&self, place: [i32; D]) -> [u32; 2] {
+        let mut halves = [0; 4];
+        for (axis, half) in halves.iter_mut().enumerate().take(D) {
+            *half = u32::from((place[axis].wrapping_sub(self.middle[axis]) >> self.shift) as u16);
         }
-        mask |= u16::from(square < limit) << place;
+        [halves[0] | halves[1] << 16, halves[2]]
+    }
+}
+
+/// The low and the high half of a word, as numbers with a sign.
+#[inline(always)]
+fn halves(word: u32) -> [i16; 2] {
+    [word as u16 as i16, (word >> 16) as u16 as i16]
+}
+
+/// `a² + b²`, modulo 2³².
+#[inline(always)]
+fn sum_of_squares(halves: [i16; 2]) -> u32 {
+    let [a, b] = halves.map(|half| u32::from(half.unsigned_abs()));
+    a * a + b * b
+}
+
+/// [`Wide::gather`] place by place.
+#[inline(always)]
+pub(super) fn gather_by_loop<C: AsRef<[i32]>, const D: usize>(
+    columns: &[C; D],
+    window: &Window<D>,
+    (first, inside): (usize, u16),
+    tag: u16,
+    kept: [&mut [u32; 2 * WIDTH]; 2],
+) -> u16 {
+    let half = |axis: usize| window.half.get(axis).copied().unwrap_or(0);
+    let box_around = [[half(0), half(1)], [half(2), 0]];
+    let [xy, zt] = kept;
+    let (mut mask, mut next) = (0, 0);
+    for place in 0..2 * WIDTH {
+        let mut there = [0; D];
+        for (there, column) in there.iter_mut().zip(columns) {
+            *there = column.as_ref()[first + place];
+        }
+        let words = window.words(there);
+        let mut square = 0_u32;
+        for (word, half) in words.into_iter().zip(box_around) {
+            let [low, high] = halves(word);
+            let outside = [
+                low.unsigned_abs().saturating_sub(half[0]) as i16,
+                high.unsigned_abs().saturating_sub(half[1]) as i16,
+            ];
+            square = square.wrapping_add(sum_of_squares(outside));
+        }
+        // Never behind the end: as many were kept as came before.
+        xy[next] = words[0];
+        zt[next] = words[1] | u32::from(tag.wrapping_add(place as u16)) << 16;
+        let near = square < window.limit && inside >> place & 1 == 1;
+        mask |= u16::from(near) << place;
+        next += usize::from(near);
     }
     mask
 }
 
-/// [`Wide::keep`] place by place.
+/// [`Wide::within`] place by place.
 #[inline(always)]
-pub(super) fn keep_by_loop(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+pub(super) fn within_by_loop(
+    [xy, zt]: [&[u32; 2 * WIDTH]; 2],
+    here: [u32; 2],
+    limits: [u32; 2],
+) -> [u16; 2] {
+    let mut masks = [0; 2];
+    let [[x, y], [z, _]] = here.map(halves);
+    for (place, (xy, zt)) in xy.iter().zip(zt).enumerate() {
+        let ([x_there, y_there], [z_there, _]) = (halves(*xy), halves(*zt));
+        let apart = [x.wrapping_sub(x_there), y.wrapping_sub(y_there)];
+        let square =
+            sum_of_squares(apart).wrapping_add(sum_of_squares([z.wrapping_sub(z_there), 0]));
+        for (mask, limit) in masks.iter_mut().zip(limits) {
+            *mask |= u16::from(square < limit) << place;
+        }
+    }
+    masks
+}
+
+/// [`Wide::keep_tags`] place by place.
+#[inline(always)]
+pub(super) fn keep_tags_by_loop(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
     let mut next = 0;
-    for (place, &number) in all.iter().enumerate() {
+    for (place, &word) in words.iter().enumerate() {
         // Never behind the end: as many were kept as came before.
-        kept[next] = number;
+        kept[next] = (word >> 16) as u16;
         next += usize::from(mask >> place & 1);
     }
 }
@@ -89,23 +169,6 @@ pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u3
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
         *kept = slots[usize::from(lane)];
     }
-}
-
-/// [`Wide::keep_others`] place by place.
-#[inline(always)]
-pub(super) fn keep_others_by_loop(
-    mask: u16,
-    slots: &[u32; 2 * WIDTH],
-    own: u32,
-    kept: &mut [u32; 2 * WIDTH],
-) -> usize {
-    let mut next = 0;
-    for (place, &slot) in slots.iter().enumerate() {
-        // Never behind the end: as many were kept as came before.
-        kept[next] = slot;
-        next += usize::from(mask >> place & 1 == 1 && slot != own);
-    }
-    next
 }
 
 /// [`Wide::compress`] by table.
@@ -122,6 +185,7 @@ pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]
 
 #[cfg(test)]
 mod tests {
+    use super::Window;
     use crate::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
 
     /// Everything that sifts sixteen places, over a few columns of them.
@@ -132,7 +196,7 @@ mod tests {
     }
 
     impl Pass for Sift<'_> {
-        type Output = (Vec<u16>, Vec<i32>, Vec<u32>);
+        type Output = (Vec<u16>, Vec<u32>, Vec<u32>);
 
         #[inline(always)]
         fn run<W: Wide>(self) -> Self::Output {
@@ -141,17 +205,32 @@ mod tests {
             for first in 0..2 * WIDTH {
                 let here = [columns[0][first], columns[1][first], columns[2][first]];
                 let [near, maybe] = W::near(columns, here, first, [1e18, 2e18]);
-                let mask = W::near_box(columns, (here, [3e8, 2e8, 4e8]), first, 1.5e18);
-                masks.extend([near, maybe, mask]);
-                for column in columns {
-                    let mut kept = [0; 2 * WIDTH];
-                    if let Some(all) = column[first..].first_chunk() {
-                        W::keep(mask, all, &mut kept);
+                let window = Window {
+                    middle: here,
+                    shift: 16,
+                    half: [5000, 3000, 7000],
+                    limit: 20_000 * 20_000,
+                };
+                let (inside, tag) = (0xfeff, 65_530 + first as u16 % 5);
+                let (mut xy, mut zt) = ([0; 2 * WIDTH], [0; 2 * WIDTH]);
+                let mask = W::gather(columns, &window, (first, inside), tag, [&mut xy, &mut zt]);
+                let count = mask.count_ones() as usize;
+                places.extend([xy, zt].iter().flat_map(|words| &words[..count]));
+                // Somebody else's words behind them.
+                for (place, word) in xy.iter_mut().chain(&mut zt).enumerate() {
+                    if place % (2 * WIDTH) >= count {
+                        *word = (place as u32 + 1).wrapping_mul(0x9e37_79b9);
                     }
-                    places.extend(&kept[..mask.count_ones() as usize]);
                 }
-                let (mut others, mut all) = ([0; 2 * WIDTH], [0; 2 * WIDTH]);
-                let found = W::keep_others(near, slots, slots[first], &mut others);
+                let here = window.words(here.map(|x| x.wrapping_add(1 << 28)));
+                let limits = [20_000 * 20_000, 3 << 29];
+                let within = W::within([&xy, &zt], here, limits);
+                let mut tags = [0; 2 * WIDTH];
+                W::keep_tags(within[1], &zt, &mut tags);
+                numbers
+                    .extend(tags[..within[1].count_ones() as usize].iter().copied().map(u32::from));
+                masks.extend([near, maybe, mask, within[0], within[1]]);
+                let mut all = [0; 2 * WIDTH];
                 W::compress(maybe, first as u32, &mut all);
                 if let Some(eight) = slots.first_chunk() {
                     let mut some = [0; WIDTH];
@@ -162,7 +241,6 @@ mod tests {
                 (0..WIDTH).for_each(|l| lanes.set_lane(l, f64::from(columns[0][first + l] >> 30)));
                 lanes.set_lane(first % WIDTH, f64::NAN);
                 masks.push(u16::from(W::load(&lanes).nonzero()));
-                numbers.extend(&others[..found]);
                 numbers.extend(&all[..maybe.count_ones() as usize]);
             }
             (masks, places, numbers)

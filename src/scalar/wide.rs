@@ -1,8 +1,8 @@
 //! One source for every instruction set and both precisions.
 
 use super::sift::{
-    compress_in_two, keep_by_loop, keep_others_by_loop, keep_slots_by_table, near_box_by_loop,
-    near_by_loop,
+    Window, compress_in_two, gather_by_loop, keep_slots_by_table, keep_tags_by_loop, near_by_loop,
+    within_by_loop,
 };
 use super::{Lanes, Scalar, WIDTH};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
@@ -95,16 +95,24 @@ pub trait Wide: Scalar {
     ) -> [u16; 2] {
         near_by_loop(columns, here, first, limits)
     }
-    /// Which of the sixteen places from number `first` on are nearer than a limit to a box: its middle and
-    /// half its width along each axis, in fixed-point steps; `limit` is on the square of the distance.
+    /// Writes those of sixteen places from number `first` on that are near the box of a window and `inside` a mask
+    /// to the front of `kept`, in order, and says who they are: two words each, those of [`Window::words`],
+    /// with `tag` and the number from `first` on above z. What comes behind them is anything.
     #[inline(always)]
-    fn near_box<C: AsRef<[i32]>, const D: usize>(
+    fn gather<C: AsRef<[i32]>, const D: usize>(
         columns: &[C; D],
-        around: ([i32; D], [f32; D]),
-        first: usize,
-        limit: f32,
+        window: &Window<D>,
+        (first, inside): (usize, u16),
+        tag: u16,
+        kept: [&mut [u32; 2 * WIDTH]; 2],
     ) -> u16 {
-        near_box_by_loop(columns, around, first, limit)
+        gather_by_loop(columns, window, (first, inside), tag, kept)
+    }
+    /// Which of sixteen places in two words each are nearer to a place in two words than two limits on the square of the
+    /// distance, in steps of their window: one bit each, the first lowest.
+    #[inline(always)]
+    fn within(words: [&[u32; 2 * WIDTH]; 2], here: [u32; 2], limits: [u32; 2]) -> [u16; 2] {
+        within_by_loop(words, here, limits)
     }
     /// Which lanes are not zero, NaN among them: one bit each, the first lowest.
     #[inline(always)]
@@ -122,22 +130,11 @@ pub trait Wide: Scalar {
     fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
         keep_slots_by_table(mask, slots, kept);
     }
-    /// Writes those of sixteen numbers that are in a mask, in order, to the front of `kept`; what comes
-    /// behind them is anything.
+    /// Writes the upper halves of those of sixteen words that are in a mask, in order, to the front of `kept`;
+    /// what comes behind them is anything.
     #[inline(always)]
-    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
-        keep_by_loop(mask, all, kept);
-    }
-    /// Writes those of sixteen slots that are in a mask, without the slot `own`, in order, to the front of
-    /// `kept`, and says how many; what comes behind them is anything.
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        keep_others_by_loop(mask, slots, own, kept)
+    fn keep_tags(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
+        keep_tags_by_loop(mask, words, kept);
     }
     /// Asks for a line that will be needed soon; a hint, which changes no result.
     #[inline(always)]

@@ -100,6 +100,17 @@ unsafe fn front_of(mask: u8, numbers: __m256i) -> __m256i {
     }
 }
 
+/// Which of eight words without a sign are less than a limit.
+#[inline(always)]
+unsafe fn less(words: __m256i, limit: u32) -> u8 {
+    unsafe {
+        // With the highest bit turned they compare as numbers with a sign do.
+        let words = _mm256_xor_si256(words, _mm256_set1_epi32(i32::MIN));
+        let limit = _mm256_set1_epi32(limit as i32 ^ i32::MIN);
+        _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpgt_epi32(limit, words))) as u8
+    }
+}
+
 /// What is left of [`Wide::sum`] once the upper four lanes were added to the lower.
 #[inline(always)]
 pub(super) unsafe fn sum_of_four(four: __m256d) -> f64 {
@@ -167,30 +178,77 @@ impl Wide for Lanes256 {
         masks
     }
     #[inline(always)]
-    fn near_box<C: AsRef<[i32]>, const D: usize>(
+    fn gather<C: AsRef<[i32]>, const D: usize>(
         columns: &[C; D],
-        (middle, half): ([i32; D], [f32; D]),
-        first: usize,
-        limit: f32,
+        window: &Window<D>,
+        (first, inside): (usize, u16),
+        tag: u16,
+        [xy, zt]: [&mut [u32; 2 * WIDTH]; 2],
     ) -> u16 {
-        let mut mask = 0;
+        /// Every other half of a word, the upper ones.
+        const UPPER: i32 = 0xaa;
+        let (mut found, mut next) = (0, 0);
         for eight in 0..2 {
             unsafe {
-                let (mut square, zero) = (_mm256_setzero_ps(), _mm256_setzero_ps());
-                for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
+                let zero = _mm256_setzero_si256();
+                let (mut places, mut half) = ([zero; 4], [0; 4]);
+                for (axis, (column, middle)) in columns.iter().zip(window.middle).enumerate() {
                     let from = first + eight * WIDTH;
                     let there =
                         _mm256_loadu_si256(column.as_ref()[from..from + WIDTH].as_ptr().cast());
                     let apart = _mm256_sub_epi32(there, _mm256_set1_epi32(middle));
-                    let apart = _mm256_andnot_ps(_mm256_set1_ps(-0.0), _mm256_cvtepi32_ps(apart));
-                    let outside = _mm256_max_ps(_mm256_sub_ps(apart, _mm256_set1_ps(half)), zero);
-                    square = _mm256_add_ps(square, _mm256_mul_ps(outside, outside));
+                    places[axis] = _mm256_sra_epi32(apart, _mm_cvtsi32_si128(window.shift as i32));
+                    half[axis] = i32::from(window.half[axis]);
                 }
-                let less = _mm256_cmp_ps::<_CMP_LT_OQ>(square, _mm256_set1_ps(limit));
-                mask |= (_mm256_movemask_ps(less) as u16) << (eight * WIDTH);
+                let y = _mm256_slli_epi32::<16>(places[1]);
+                let words = [
+                    _mm256_blend_epi16::<UPPER>(places[0], y),
+                    _mm256_blend_epi16::<UPPER>(places[2], zero),
+                ];
+                let mut square = zero;
+                for (word, half) in words.iter().zip([half[0] | half[1] << 16, half[2]]).take(D - 1)
+                {
+                    let outside =
+                        _mm256_subs_epu16(_mm256_abs_epi16(*word), _mm256_set1_epi32(half));
+                    square = _mm256_add_epi32(square, _mm256_madd_epi16(outside, outside));
+                }
+                let mask = (inside >> (eight * WIDTH)) as u8 & less(square, window.limit);
+                let tags = _mm256_add_epi32(
+                    _mm256_set1_epi32(i32::from(tag) + (eight * WIDTH) as i32),
+                    _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7),
+                );
+                let tagged = _mm256_or_si256(words[1], _mm256_slli_epi32::<16>(tags));
+                // The second eight go over what the first left behind those it kept.
+                for (word, kept) in [words[0], tagged].into_iter().zip([&mut *xy, &mut *zt]) {
+                    let to = kept[next..next + WIDTH].as_mut_ptr();
+                    _mm256_storeu_si256(to.cast(), front_of(mask, word));
+                }
+                next += mask.count_ones() as usize;
+                found |= u16::from(mask) << (eight * WIDTH);
             }
         }
-        mask
+        found
+    }
+    #[inline(always)]
+    fn within([xy, zt]: [&[u32; 2 * WIDTH]; 2], here: [u32; 2], limits: [u32; 2]) -> [u16; 2] {
+        let mut masks = [0; 2];
+        for half in 0..2 {
+            unsafe {
+                let [xy_here, z_here] = here.map(|word| _mm256_set1_epi32(word as i32));
+                let eight = |words: &[u32; 2 * WIDTH]| {
+                    _mm256_loadu_si256(words[half * WIDTH..].as_ptr().cast())
+                };
+                let xy = _mm256_sub_epi16(xy_here, eight(xy));
+                let zt = _mm256_sub_epi16(z_here, eight(zt));
+                // Above z is the difference of two tags, times zero.
+                let z = _mm256_and_si256(zt, _mm256_set1_epi32(0xffff));
+                let square = _mm256_add_epi32(_mm256_madd_epi16(xy, xy), _mm256_madd_epi16(zt, z));
+                for (mask, limit) in masks.iter_mut().zip(limits) {
+                    *mask |= u16::from(less(square, limit)) << (half * WIDTH);
+                }
+            }
+        }
+        masks
     }
     #[inline(always)]
     fn sum(self) -> f64 {
@@ -215,37 +273,20 @@ impl Wide for Lanes256 {
         }
     }
     #[inline(always)]
-    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+    fn keep_tags(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
         let [low, high] = mask.to_le_bytes();
         let middle = low.count_ones() as usize;
         // The second eight go over what the first left behind those it kept.
         for (mask, from, to) in [(low, 0, 0), (high, WIDTH, middle)] {
-            let (from, to) = (&all[from..from + WIDTH], &mut kept[to..to + WIDTH]);
+            let (from, to) = (&words[from..from + WIDTH], &mut kept[to..to + WIDTH]);
             unsafe {
                 let front = front_of(mask, _mm256_loadu_si256(from.as_ptr().cast()));
-                _mm256_storeu_si256(to.as_mut_ptr().cast(), front);
+                let tags = _mm256_srli_epi32::<16>(front);
+                let (first, last) =
+                    (_mm256_castsi256_si128(tags), _mm256_extracti128_si256::<1>(tags));
+                _mm_storeu_si128(to.as_mut_ptr().cast(), _mm_packus_epi32(first, last));
             }
         }
-    }
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        let mut count = 0;
-        for (mask, slots) in mask.to_le_bytes().into_iter().zip(slots.as_chunks::<WIDTH>().0) {
-            let to = &mut kept[count..count + WIDTH];
-            unsafe {
-                let slots = _mm256_loadu_si256(slots.as_ptr().cast());
-                let same = _mm256_cmpeq_epi32(slots, _mm256_set1_epi32(own as i32));
-                let mask = mask & !(_mm256_movemask_ps(_mm256_castsi256_ps(same)) as u8);
-                _mm256_storeu_si256(to.as_mut_ptr().cast(), front_of(mask, slots));
-                count += mask.count_ones() as usize;
-            }
-        }
-        count
     }
 }
 

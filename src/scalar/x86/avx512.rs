@@ -146,23 +146,58 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
-    fn near_box<C: AsRef<[i32]>, const D: usize>(
+    fn gather<C: AsRef<[i32]>, const D: usize>(
         columns: &[C; D],
-        (middle, half): ([i32; D], [f32; D]),
-        first: usize,
-        limit: f32,
+        window: &Window<D>,
+        (first, inside): (usize, u16),
+        tag: u16,
+        [xy, zt]: [&mut [u32; 2 * WIDTH]; 2],
     ) -> u16 {
+        /// Every other half of a word, the upper ones.
+        const UPPER: u32 = 0xaaaa_aaaa;
         unsafe {
-            let (mut square, zero) = (_mm512_setzero_ps(), _mm512_setzero_ps());
-            for ((column, middle), half) in columns.iter().zip(middle).zip(half) {
+            let zero = _mm512_setzero_si512();
+            let mut places = [zero; 4];
+            let mut half = [0; 4];
+            for (axis, (column, middle)) in columns.iter().zip(window.middle).enumerate() {
                 let there =
                     _mm512_loadu_si512(column.as_ref()[first..first + 2 * WIDTH].as_ptr().cast());
                 let apart = _mm512_sub_epi32(there, _mm512_set1_epi32(middle));
-                let apart = _mm512_abs_ps(_mm512_cvtepi32_ps(apart));
-                let outside = _mm512_max_ps(_mm512_sub_ps(apart, _mm512_set1_ps(half)), zero);
-                square = _mm512_add_ps(square, _mm512_mul_ps(outside, outside));
+                places[axis] = _mm512_sra_epi32(apart, _mm_cvtsi32_si128(window.shift as i32));
+                half[axis] = i32::from(window.half[axis]);
             }
-            _mm512_cmp_ps_mask::<_CMP_LT_OQ>(square, _mm512_set1_ps(limit))
+            let y = _mm512_slli_epi32::<16>(places[1]);
+            let words = [
+                _mm512_mask_blend_epi16(UPPER, places[0], y),
+                _mm512_mask_blend_epi16(UPPER, places[2], zero),
+            ];
+            let mut square = zero;
+            for (word, half) in words.iter().zip([half[0] | half[1] << 16, half[2]]).take(D - 1) {
+                let outside = _mm512_subs_epu16(_mm512_abs_epi16(*word), _mm512_set1_epi32(half));
+                square = _mm512_add_epi32(square, _mm512_madd_epi16(outside, outside));
+            }
+            let limit = _mm512_set1_epi32(window.limit as i32);
+            let mask = inside & _mm512_cmplt_epu32_mask(square, limit);
+            let count = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            let tags = _mm512_add_epi32(_mm512_set1_epi32(i32::from(tag)), count);
+            let tagged = _mm512_or_si512(words[1], _mm512_slli_epi32::<16>(tags));
+            for (word, kept) in [words[0], tagged].into_iter().zip([xy, zt]) {
+                let front = _mm512_maskz_compress_epi32(mask, word);
+                _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
+            }
+            mask
+        }
+    }
+    #[inline(always)]
+    fn within([xy, zt]: [&[u32; 2 * WIDTH]; 2], here: [u32; 2], limits: [u32; 2]) -> [u16; 2] {
+        unsafe {
+            let [xy_here, z_here] = here.map(|word| _mm512_set1_epi32(word as i32));
+            let xy = _mm512_sub_epi16(xy_here, _mm512_loadu_si512(xy.as_ptr().cast()));
+            let zt = _mm512_sub_epi16(z_here, _mm512_loadu_si512(zt.as_ptr().cast()));
+            // Above z is the difference of two tags, times zero.
+            let z = _mm512_and_si512(zt, _mm512_set1_epi32(0xffff));
+            let square = _mm512_add_epi32(_mm512_madd_epi16(xy, xy), _mm512_madd_epi16(zt, z));
+            limits.map(|limit| _mm512_cmplt_epu32_mask(square, _mm512_set1_epi32(limit as i32)))
         }
     }
     #[inline(always)]
@@ -186,25 +221,12 @@ impl Wide for Lanes512 {
         }
     }
     #[inline(always)]
-    fn keep(mask: u16, all: &[i32; 2 * WIDTH], kept: &mut [i32; 2 * WIDTH]) {
+    fn keep_tags(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
         unsafe {
-            let front = _mm512_maskz_compress_epi32(mask, _mm512_loadu_si512(all.as_ptr().cast()));
-            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
-        }
-    }
-    #[inline(always)]
-    fn keep_others(
-        mask: u16,
-        slots: &[u32; 2 * WIDTH],
-        own: u32,
-        kept: &mut [u32; 2 * WIDTH],
-    ) -> usize {
-        unsafe {
-            let slots = _mm512_loadu_si512(slots.as_ptr().cast());
-            let mask = mask & _mm512_cmpneq_epi32_mask(slots, _mm512_set1_epi32(own as i32));
-            let front = _mm512_maskz_compress_epi32(mask, slots);
-            _mm512_storeu_si512(kept.as_mut_ptr().cast(), front);
-            mask.count_ones() as usize
+            let front =
+                _mm512_maskz_compress_epi32(mask, _mm512_loadu_si512(words.as_ptr().cast()));
+            let tags = _mm512_cvtepi32_epi16(_mm512_srli_epi32::<16>(front));
+            _mm256_storeu_si256(kept.as_mut_ptr().cast(), tags);
         }
     }
     #[inline(always)]

@@ -8,7 +8,7 @@
 // this machine. Pointers come from references to whole values of the size that is read, and unaligned
 // instructions are used wherever a type does not promise its alignment.
 
-use super::sift::LANES_OF;
+use super::sift::{LANES_OF, Window};
 use super::singles::SMALLEST_SINGLE;
 use super::wide::{FAR, reading_of, separation_of, unit};
 use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
