@@ -122,11 +122,14 @@ impl<const D: usize> Cells<D> {
     #[inline(always)]
     pub fn around(&self, coordinates: [usize; D]) -> Around {
         let mut around = Around::NONE;
-        self.for_each_row(coordinates, |row| {
-            along_row(self.per_axis, coordinates[0], |from, to| {
-                around.push(self.start[row + from], self.start[row + to]);
-            });
-        });
+        let (rows, count) = self.rows(coordinates);
+        let (along, behind_seam) = along_row(self.per_axis, coordinates[0]);
+        for row in &rows[..count] {
+            around.push(self.start[row + along.start], self.start[row + along.end]);
+            if !behind_seam.is_empty() {
+                around.push(self.start[row + behind_seam.start], self.start[row + behind_seam.end]);
+            }
+        }
         around
     }
 
@@ -139,42 +142,36 @@ impl<const D: usize> Cells<D> {
             *coordinate = rest % self.per_axis;
             rest /= self.per_axis;
         }
-        self.for_each_row(coordinates, |row| {
-            along_row(self.per_axis, coordinates[0], |from, to| {
-                (row + from..row + to).for_each(&mut see);
-            });
-        });
+        let (rows, count) = self.rows(coordinates);
+        let (along, behind_seam) = along_row(self.per_axis, coordinates[0]);
+        for row in &rows[..count] {
+            for x in along.clone().chain(behind_seam.clone()) {
+                see(row + x);
+            }
+        }
     }
 
-    /// Calls `see` with the first cell of each row along the first axis that touches the cell at
-    /// `coordinates`.
+    /// The first cell of each row along the first axis that touches the cell at `coordinates`, and how many
+    /// they are: its own row, the next one and the last along the second axis, and so on.
     #[inline(always)]
-    fn for_each_row(&self, coordinates: [usize; D], mut see: impl FnMut(usize)) {
+    fn rows(&self, coordinates: [usize; D]) -> ([usize; MOST_ROWS], usize) {
         let n = self.per_axis;
-        let offsets: &[usize] = match n {
-            1 => &[0],
-            2 => &[0, 1],
-            _ => &[0, 1, n - 1],
-        };
-        let mut choice = [0; D];
-        loop {
-            let mut cell = [0; D];
-            for axis in 1..D {
-                let along = coordinates[axis] + offsets[choice[axis]];
-                cell[axis] = if along < n { along } else { along - n };
+        let (mut rows, mut count, mut stride) = ([0; MOST_ROWS], 1, n);
+        for along in coordinates.into_iter().skip(1) {
+            let next = if along + 1 < n { along + 1 } else { 0 };
+            let last = if along > 0 { along - 1 } else { n - 1 };
+            // In a box of one or two cells next and last are the same, or the row itself.
+            let steps = [along, next, last];
+            let different = n.min(3);
+            for step in (0..different).rev() {
+                for row in 0..count {
+                    rows[step * count + row] = rows[row] + steps[step] * stride;
+                }
             }
-            see(self.index(cell));
-            // Count up in base `offsets.len()`, the first axis left out.
-            let mut axis = 1;
-            while axis < D && choice[axis] + 1 == offsets.len() {
-                choice[axis] = 0;
-                axis += 1;
-            }
-            if axis == D {
-                return;
-            }
-            choice[axis] += 1;
+            count *= different;
+            stride *= n;
         }
+        (rows, count)
     }
 
     /// Bytes held.
@@ -183,19 +180,20 @@ impl<const D: usize> Cells<D> {
     }
 }
 
-/// Calls `see` with the cells next to number `x` in a row of `n`, as one range or, where they are cut by
-/// the seam, two.
+/// The cells next to number `x` in a row of `n`, and, where they are cut by the seam, those behind it.
 #[inline(always)]
-fn along_row(n: usize, x: usize, mut see: impl FnMut(usize, usize)) {
+fn along_row(n: usize, x: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     if n <= 3 {
-        return see(0, n);
+        return (0..n, 0..0);
     }
-    see(x.saturating_sub(1), (x + 2).min(n));
-    if x == 0 {
-        see(n - 1, n);
+    let behind_seam = if x == 0 {
+        n - 1..n
     } else if x + 1 == n {
-        see(0, 1);
-    }
+        0..1
+    } else {
+        0..0
+    };
+    (x.saturating_sub(1)..(x + 2).min(n), behind_seam)
 }
 
 /// Sorts items by their keys, `0..count`, equal keys in the order of the items: `start` becomes the first
@@ -227,8 +225,11 @@ pub(crate) fn counting_sort(
     start.push(keys.len() as u32);
 }
 
-/// Nine rows of cells in 3D, each cut in two at the periodic seam at worst.
-const MOST_RANGES: usize = 18;
+/// Nine rows of cells in 3D,
+const MOST_ROWS: usize = 9;
+
+/// each cut in two at the periodic seam at worst.
+const MOST_RANGES: usize = 2 * MOST_ROWS;
 
 /// Consecutive slots near a place.
 #[derive(Clone, Copy, Debug, Default)]

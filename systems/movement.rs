@@ -69,30 +69,44 @@ pub(super) struct Movement {
 }
 
 impl Movement {
-    /// Whether two neighbours may have moved `skin` or more apart, or someone `carried` or more, since
-    /// `cells` were sorted: then the particles, now at `positions`, row by row, had the fixed-point coordinates in
-    /// `columns`, in the order of the cells.
-    pub(super) fn tears<const D: usize>(
+    /// Bounds the displacements since `cells` were sorted, and says how far, squared and in fixed-point steps, somebody
+    /// is at most from where he was: then the particles, now at `positions`, row by row, had the fixed-point
+    /// coordinates in `columns`, in the order of the cells.
+    pub(super) fn bound<const D: usize>(
         &mut self,
         (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
         positions: &[Position<D>],
         space: PeriodicBox,
-        (skin, carried): (f64, f64),
-    ) -> bool {
+    ) -> f64 {
         self.bounds.resize(cells.count(), Bounds::NONE);
         let all = self.bounds.par_iter_mut().with_min_len(CELLS).enumerate();
-        all.for_each(|(cell, bounds)| {
+        let farthest = all.map(|(cell, bounds)| {
             *bounds = Bounds::NONE;
+            let mut farthest = 0.0_f64;
             for slot in cells.range(cell) {
                 let position = positions[cells.row_of_slot[slot] as usize].0;
-                let mut moved = [0; D];
+                let (mut moved, mut square) = ([0; D], 0.0);
                 for axis in 0..D {
                     let now = PackedSingle::fixed_point(position[axis], space);
                     moved[axis] = now.wrapping_sub(columns[axis][slot]);
+                    square += f64::from(moved[axis]) * f64::from(moved[axis]);
                 }
                 bounds.see(moved);
+                farthest = farthest.max(square);
             }
+            farthest
         });
+        farthest.reduce(|| 0.0, f64::max)
+    }
+
+    /// Whether two neighbours may have moved `skin` or more apart, or someone `carried` or more, by the last
+    /// bounds.
+    pub(super) fn tears<const D: usize>(
+        &self,
+        cells: &Cells<D>,
+        space: PeriodicBox,
+        (skin, carried): (f64, f64),
+    ) -> bool {
         let bounds = &self.bounds;
         let steps = PackedSingle::STEPS / space.length;
         // Each displacement is known to a step, and singles to a few parts in ten million.

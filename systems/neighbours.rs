@@ -126,34 +126,12 @@ impl<const D: usize> Neighbours<D> {
 
     /// Whether the lists hold whoever may touch whom at these positions.
     fn still_hold(&mut self, positions: &[Position<D>]) -> bool {
-        let farthest = self.farthest(positions);
+        let farthest = self.movement.bound((&self.cells, &self.columns), positions, self.space);
         // As long as nobody has moved half a skin, no two of them have moved a skin apart.
         let steps = PackedSingle::STEPS / self.space.length;
         // Rounded coordinates are known to half a step each.
-        farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2) || {
-            let limits = (self.skin, self.carried());
-            !self.movement.tears((&self.cells, &self.columns), positions, self.space, limits)
-        }
-    }
-
-    /// The square of the farthest that somebody is, in fixed-point steps, from where he was when the lists
-    /// were built.
-    fn farthest(&self, positions: &[Position<D>]) -> f64 {
-        let far = self.cells.row_of_slot.par_chunks(CHUNK).enumerate().map(|(number, rows)| {
-            let mut farthest = 0.0_f64;
-            for (k, &row) in rows.iter().enumerate() {
-                let position = positions[row as usize].0;
-                let mut square = 0.0;
-                for axis in 0..D {
-                    let now = PackedSingle::fixed_point(position[axis], self.space);
-                    let moved = now.wrapping_sub(self.columns[axis][number * CHUNK + k]);
-                    square += f64::from(moved) * f64::from(moved);
-                }
-                farthest = farthest.max(square);
-            }
-            farthest
-        });
-        far.reduce(|| 0.0, f64::max)
+        farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2)
+            || !self.movement.tears(&self.cells, self.space, (self.skin, self.carried()))
     }
 
     /// How far particles may be carried with their neighbours before the lists are built anew.
@@ -178,13 +156,11 @@ impl<const D: usize> Neighbours<D> {
         let reach = (self.support + self.skin, self.carried());
         self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
         let (cells, space) = (&self.cells, self.space);
-        for (axis, column) in self.columns.iter_mut().enumerate() {
-            column.resize(count + 2 * WIDTH, 0);
-            let rows = column.par_iter_mut().zip(&cells.row_of_slot).with_min_len(FEWEST);
-            rows.for_each(|(x, &row)| {
-                *x = PackedSingle::fixed_point(position(row as usize)[axis], space);
-            });
-        }
+        self.columns.iter_mut().for_each(|column| column.resize(count + 2 * WIDTH, 0));
+        let columns = self.columns.each_mut().map(|column| &mut column[..count]);
+        fix(columns, &cells.row_of_slot, &|row| {
+            position(row).0.map(|x| PackedSingle::fixed_point(x, space))
+        });
         // Lists that the tape still needs stay there; otherwise their memory is used again.
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
@@ -203,6 +179,29 @@ impl<const D: usize> Neighbours<D> {
             None => self.chunks = Arc::new(chunks),
         }
     }
+}
+
+/// Fills columns of fixed-point coordinates, given by row, in the order of the slots.
+fn fix<const D: usize>(
+    mut columns: [&mut [i32]; D],
+    row_of_slot: &[u32],
+    place: &(impl Fn(usize) -> [i32; D] + Sync),
+) {
+    if row_of_slot.len() < 2 * FEWEST {
+        for (slot, &row) in row_of_slot.iter().enumerate() {
+            for (column, x) in columns.iter_mut().zip(place(row as usize)) {
+                column[slot] = x;
+            }
+        }
+        return;
+    }
+    let middle = row_of_slot.len() / 2;
+    let (rows, last_rows) = row_of_slot.split_at(middle);
+    let mut last: [&mut [i32]; D] = std::array::from_fn(|_| Default::default());
+    for (column, last) in columns.iter_mut().zip(&mut last) {
+        (*column, *last) = std::mem::take(column).split_at_mut(middle);
+    }
+    rayon::join(|| fix(columns, rows, place), || fix(last, last_rows, place));
 }
 
 /// Every directed pair closer than `radius`, as `(i, j)` in ascending order, by comparing all with

@@ -102,6 +102,9 @@ unsafe fn columns(a: __m512d, b: __m512d, c: __m512d, d: __m512d) -> [__m512d; 4
     }
 }
 
+/// The upper halves of words.
+const UPPER: u32 = 0xaaaa_aaaa;
+
 impl Wide for Lanes512 {
     wide_doubles!();
 
@@ -153,8 +156,6 @@ impl Wide for Lanes512 {
         tag: u16,
         [xy, zt]: [&mut [u32; 2 * WIDTH]; 2],
     ) -> u16 {
-        /// Every other half of a word, the upper ones.
-        const UPPER: u32 = 0xaaaa_aaaa;
         unsafe {
             let zero = _mm512_setzero_si512();
             let mut places = [zero; 4];
@@ -169,7 +170,7 @@ impl Wide for Lanes512 {
             let y = _mm512_slli_epi32::<16>(places[1]);
             let words = [
                 _mm512_mask_blend_epi16(UPPER, places[0], y),
-                _mm512_mask_blend_epi16(UPPER, places[2], zero),
+                _mm512_maskz_mov_epi16(!UPPER, places[2]),
             ];
             let mut square = zero;
             for (word, half) in words.iter().zip([half[0] | half[1] << 16, half[2]]).take(D - 1) {
@@ -193,10 +194,9 @@ impl Wide for Lanes512 {
         unsafe {
             let [xy_here, z_here] = here.map(|word| _mm512_set1_epi32(word as i32));
             let xy = _mm512_sub_epi16(xy_here, _mm512_loadu_si512(xy.as_ptr().cast()));
-            let zt = _mm512_sub_epi16(z_here, _mm512_loadu_si512(zt.as_ptr().cast()));
-            // Above z is the difference of two tags, times zero.
-            let z = _mm512_and_si512(zt, _mm512_set1_epi32(0xffff));
-            let square = _mm512_add_epi32(_mm512_madd_epi16(xy, xy), _mm512_madd_epi16(zt, z));
+            let zt = _mm512_loadu_si512(zt.as_ptr().cast());
+            let z = _mm512_maskz_sub_epi16(!UPPER, z_here, zt);
+            let square = _mm512_add_epi32(_mm512_madd_epi16(xy, xy), _mm512_madd_epi16(z, z));
             limits.map(|limit| _mm512_cmplt_epu32_mask(square, _mm512_set1_epi32(limit as i32)))
         }
     }
