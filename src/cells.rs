@@ -5,8 +5,8 @@ use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
-/// Fewer particles than this are not worth another thread.
-pub(crate) const FEWEST: usize = 4096;
+/// Fewer particles than this, some microseconds of a pass that only moves numbers, are not worth another thread.
+pub(crate) const FEWEST: usize = 1024;
 
 /// A cell list: particles sorted by the cell they are in.
 ///

@@ -13,7 +13,7 @@ use crate::space::PeriodicBox;
 use rayon::prelude::*;
 
 /// Fewer cells than this are not worth another thread.
-const CELLS: usize = 512;
+const CELLS: usize = 128;
 
 /// Bounds of the displacements of a cell's particles, in fixed-point steps: the largest along each axis,
 /// and behind these the largest against it.
@@ -69,6 +69,11 @@ pub(super) struct Movement {
 }
 
 impl Movement {
+    /// Makes room for the bounds of so many cells.
+    pub(super) fn resize(&mut self, cells: usize) {
+        self.bounds.resize(cells, Bounds::NONE);
+    }
+
     /// Bounds the displacements since `cells` were sorted, and says how far, squared and in fixed-point steps, somebody
     /// is at most from where he was: then the particles, now at `positions`, row by row, had the fixed-point
     /// coordinates in `columns`, in the order of the cells.
@@ -78,7 +83,6 @@ impl Movement {
         positions: &[Position<D>],
         space: PeriodicBox,
     ) -> f64 {
-        self.bounds.resize(cells.count(), Bounds::NONE);
         let all = self.bounds.par_iter_mut().with_min_len(CELLS).enumerate();
         let farthest = all.map(|(cell, bounds)| {
             *bounds = Bounds::NONE;

@@ -98,6 +98,11 @@ impl<const D: usize> Neighbours<D> {
         lists + reference + places + self.cells.bytes() + self.movement.bytes()
     }
 
+    /// Bytes held by the bounds of how far particles have moved, cell by cell.
+    pub fn bytes_of_bounds(&self) -> usize {
+        self.movement.bytes()
+    }
+
     /// Forgets the lists, so that the next step builds them anew.
     pub fn invalidate(&mut self) {
         self.valid = false;
@@ -155,6 +160,7 @@ impl<const D: usize> Neighbours<D> {
         cloud.resize(count);
         let reach = (self.support + self.skin, self.carried());
         self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
+        self.movement.resize(self.cells.count());
         let (cells, space) = (&self.cells, self.space);
         self.columns.iter_mut().for_each(|column| column.resize(count + 2 * WIDTH, 0));
         let columns = self.columns.each_mut().map(|column| &mut column[..count]);

@@ -182,6 +182,9 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
     all.push(("neighbour lists", "lists".to_owned(), lists(scene)));
     all.push(("neighbour lists", "cells".to_owned(), [4.0 + share, 4.0 + 2.5 * share]));
+    // Of how far particles have moved, eight singles for each cell.
+    let bounds = 32.0 * cells / scene.particles() as f64;
+    all.push(("neighbour lists", "bounds".to_owned(), [bounds, bounds]));
     // By cell in fixed point, half as large as doubles.
     all.push(("neighbour lists", "positions".to_owned(), [0.5 * vector, 0.52 * vector]));
     all
@@ -400,7 +403,7 @@ fn a_third_dimension_takes_a_third_coordinate_in_every_vector() {
         let coordinates = match flat.name.as_str() {
             "Position" | "Velocity" | "Acceleration" | "acceleration" => 1.0,
             // How many neighbours there are, and cells; what vectors keep in reserve.
-            "lists" | "masks" | "cells" | "positions" => continue,
+            "lists" | "masks" | "cells" | "bounds" | "positions" => continue,
             _ => 0.0,
         };
         let more = deep.bytes - flat.bytes;

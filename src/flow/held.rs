@@ -199,12 +199,14 @@ impl<const D: usize> Flow<D> {
             return Vec::new();
         };
         let lists: usize = neighbours.chunks.iter().map(Chunk::bytes).sum();
-        let cells = neighbours.cells.bytes();
+        let (cells, bounds) = (neighbours.cells.bytes(), neighbours.bytes_of_bounds());
+        let rest = neighbours.bytes() - size_of_val(neighbours.reference());
         vec![
             ("lists", lists),
             ("cells", cells),
+            ("bounds", bounds),
             // By cell, in fixed point, at the last rebuild.
-            ("positions", neighbours.bytes() - lists - cells - size_of_val(neighbours.reference())),
+            ("positions", rest - lists - cells - bounds),
         ]
     }
 
