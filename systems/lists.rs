@@ -1,8 +1,8 @@
 //! The lists of one chunk of particles: who of the cells around is in reach.
 //!
-//! Those who may be near somebody of a cell are gathered once for all its particles, in two words of 32 bits each: where
-//! they are, in sixteen bits along each axis, and who they are. Whole numbers have the same bits on every
-//! instruction set; whom they leave in doubt is looked at in doubles.
+//! Those who may be near somebody of a cell are gathered once for all its particles, in two words of 32 bits
+//! each: where they are, in sixteen bits along each axis, and who they are. Whole numbers are the same on
+//! every instruction set; whom they leave in doubt is looked at in doubles.
 
 use crate::cells::Cells;
 use crate::chunk::{FEW, Lists};
@@ -143,9 +143,6 @@ struct Steps {
     shift: u32,
     /// Squares of distances below which somebody is surely within reach, and from which on surely not.
     limits: [u32; 2],
-    /// Squares of distances to the box around the particles of a cell from which on somebody is in
-    /// nobody's reach.
-    from_box: u32,
     /// How far from the seam of the box, in fixed-point steps, neither a particle nor a neighbour can cross it
     /// while the lists are used.
     margin: u32,
@@ -209,7 +206,6 @@ impl<const D: usize> ListPass<'_, D> {
         Steps {
             shift,
             limits: [(least * least) as u32, ((r + doubt) * (r + doubt)).ceil() as u32],
-            from_box: ((r + doubt) * (r + doubt)).ceil() as u32,
             margin: ((reach + carried) * fixed_point + 4.0) as u32,
         }
     }
@@ -266,11 +262,11 @@ impl<const D: usize> ListPass<'_, D> {
             middle[axis] = middle[axis].wrapping_add(least[axis]).wrapping_add((width / 2) as i32);
             half[axis] = ((width / 2 + 1) >> steps.shift) as u16 + 1;
         }
-        Window { middle, shift: steps.shift, half, limit: steps.from_box }
+        Window { middle, shift: steps.shift, half, limit: steps.limits[1] }
     }
 
-    /// Finds everyone who may be in reach of somebody in the box of a window, in the cells around; those whose lists
-    /// are written begin with a slot. Stops and says so where somebody is too far from the base for an entry.
+    /// Finds everyone who may be in reach of somebody in the box of a window, in the cells around; `own` is the
+    /// first slot in that box. Stops and says so where somebody is too far from the base for an entry.
     #[inline(always)]
     fn gather<W: Wide, E: Written>(
         &self,

@@ -74,8 +74,8 @@ impl Movement {
         self.bounds.resize(cells, Bounds::NONE);
     }
 
-    /// Bounds the displacements since `cells` were sorted, and says how far, squared and in fixed-point steps, somebody
-    /// is at most from where he was: then the particles, now at `positions`, row by row, had the fixed-point
+    /// Bounds the displacements since `cells` were sorted, and says how far the farthest is from where he was:
+    /// squared, in fixed-point steps. Then the particles, now at `positions`, row by row, had the fixed-point
     /// coordinates in `columns`, in the order of the cells.
     pub(super) fn bound<const D: usize>(
         &mut self,
