@@ -1,6 +1,5 @@
 //! What stirs the flow, appendix A.3: deterministic energy injection and stochastic large-scale modes.
 
-use crate::cells::FEWEST;
 use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
 use crate::vector::Vector;
@@ -151,10 +150,13 @@ impl<const D: usize> Pass for Sums<'_, D> {
     }
 }
 
+/// So many particles are summed one after another: the bits of a sum depend on it, whatever a thread costs.
+const IN_ORDER: usize = 4096;
+
 /// Sums three numbers over particles, by halves: the order depends on how many they are alone, so that
 /// any number of threads gives the same bits.
 fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
-    let [mut a, b] = if particles.len() <= FEWEST {
+    let [mut a, b] = if particles.len() <= IN_ORDER {
         let mut sum = [0.0; 3];
         for particle in particles {
             let part = of(particle);
