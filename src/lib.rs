@@ -3,6 +3,7 @@
 pub mod arrays;
 pub mod cells;
 pub mod chunk;
+pub mod draft;
 pub mod error;
 pub mod evaluation;
 pub mod flow;

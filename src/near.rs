@@ -144,7 +144,7 @@ impl Sift<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chunk::Draft;
+    use crate::draft::Draft;
 
     #[test]
     fn who_is_near_is_who_is_in_the_masks_of_short_and_of_whole_lists() {

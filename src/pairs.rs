@@ -1,6 +1,7 @@
 //! Eight neighbours at once: how every pair loop reads them.
 
-pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Draft, Eight, Entry};
+pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Eight, Entry};
+pub use crate::draft::{Draft, Lists};
 use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, WIDTH, Wide};

@@ -5,9 +5,9 @@
 //! every instruction set; whom they leave in doubt is looked at in doubles.
 
 use crate::cells::Cells;
-use crate::chunk::{FEW, Lists};
+use crate::chunk::FEW;
 use crate::packed::PackedSingle;
-use crate::pairs::{CHUNK, Chunk, Draft, Entry};
+use crate::pairs::{CHUNK, Chunk, Draft, Entry, Lists};
 use crate::scalar::{Pass, WIDTH, Wide, Window};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
