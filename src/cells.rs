@@ -225,10 +225,10 @@ pub(crate) fn counting_sort(
     start.push(keys.len() as u32);
 }
 
-/// Nine rows of cells in 3D,
+/// Rows of cells around a cell in 3D.
 const MOST_ROWS: usize = 9;
 
-/// each cut in two at the periodic seam at worst.
+/// Every row is cut in two at the periodic seam at worst.
 const MOST_RANGES: usize = 2 * MOST_ROWS;
 
 /// Consecutive slots near a place.
