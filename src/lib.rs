@@ -17,6 +17,7 @@ pub mod network;
 pub mod optimisers;
 pub mod packed;
 pub mod pairs;
+pub mod parameters;
 pub mod recording;
 pub mod report;
 pub mod run;

@@ -16,13 +16,16 @@ pub fn stress<T: Scalar>(pressure: T, rho: T) -> T {
     pressure / (rho * rho)
 }
 
-/// `A = P/ρ²` of Tait's fluid for eight particles; where `γ` is a whole number its power is a product.
-pub fn tait_stress(rho: Lanes, c: f64, gamma: f64) -> Lanes {
+/// `A = P/ρ²` of Tait's fluid at a background pressure `p₀` for eight particles; where `γ` is a whole number its
+/// power is a product.
+pub fn tait_stress(rho: Lanes, c: f64, gamma: f64, p0: f64) -> Lanes {
     let power = match whole(gamma) {
         Some(gamma) => power(rho, gamma),
         None => rho.powf(Lanes::of(gamma)),
     };
-    (power - 1.0) * (c * c / gamma) / (rho * rho)
+    let pressure = (power - 1.0) * (c * c / gamma);
+    let pressure = if p0 == 0.0 { pressure } else { pressure + p0 };
+    pressure / (rho * rho)
 }
 
 /// The gradient of `A = P/ρ²` of Tait's fluid by `(ρ, c, γ)`, from `ln ρ` and `ρ^γ`, by hand: what
@@ -122,7 +125,7 @@ mod tests {
         for gamma in [1.0, 2.0, 6.999, 7.0, 64.0, 65.0] {
             for rho in [0.0, 0.3, 0.95, 1.0, 1.0 + 1e-9, 1.3, 40.0] {
                 let expected = stress(tait(rho, 3.0, gamma), rho);
-                let found = tait_stress(Lanes::of(rho), 3.0, gamma).to_array()[5];
+                let found = tait_stress(Lanes::of(rho), 3.0, gamma, 0.0).to_array()[5];
                 // The power is known to a rounding for each of its products.
                 let bound = 2.0 * gamma * f64::EPSILON * (expected.abs() + 9.0 / (rho * rho));
                 let same = found.to_bits() == expected.to_bits();

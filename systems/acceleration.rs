@@ -2,64 +2,175 @@
 
 use super::near::Pairs;
 use super::neighbours::Neighbours;
-use super::particles::{Acceleration, AdjointCloud, Cloud, Rooms, SensitivityCloud, side_by_side};
-use crate::cells::FEWEST;
-use crate::models::{Kept, Model, PairShare, Passed, Room, Slopes};
+use super::particles::{AdjointCloud, Cloud, Rooms, SensitivityCloud, side_by_side};
+use super::term::{Contribution, ContributionKind, Stage, Term};
+use super::{Needs, Occasion, Phase};
+use crate::models::{ForceOutput, Kept, Model, PairShare, Passed, Room, Slopes};
 use crate::near::Near;
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AT_ONCE, CHUNK, Hood};
+use crate::parameters::ParameterSpec;
 use crate::scalar::{Lanes, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// The model that moves the particles of a World.
+/// A law between pairs of particles, with the places of its parameters in the flat vector.
+#[derive(Debug)]
+pub struct PairTerm<const D: usize> {
+    /// Its name.
+    pub name: String,
+    /// The law.
+    pub model: Box<dyn Model<D>>,
+    /// Places of its parameters: scalars, then the weights of its network.
+    pub places: Vec<usize>,
+    /// Rooms in which threads evaluate it.
+    pub rooms: Rooms,
+}
+
+impl<const D: usize> PairTerm<D> {
+    /// A law whose parameters have no places yet.
+    pub fn new(name: impl Into<String>, model: Box<dyn Model<D>>) -> Self {
+        Self { name: name.into(), model, places: Vec::new(), rooms: Rooms::default() }
+    }
+
+    /// Places of its scalar parameters.
+    pub fn scalars(&self) -> &[usize] {
+        &self.places[..self.model.scalars().min(self.places.len())]
+    }
+
+    /// Places of the weights of its network.
+    pub fn weights(&self) -> &[usize] {
+        &self.places[self.model.scalars().min(self.places.len())..]
+    }
+
+    /// Its parameters: scalars, then weights.
+    pub fn specs(&self) -> Vec<ParameterSpec> {
+        let mut specs = self.model.specs();
+        let weights = self.model.network().map_or(&[][..], |network| &network.weights);
+        specs.extend(weights.iter().enumerate().map(|(place, &value)| {
+            let name = crate::parameters::Parameter::weight(place);
+            ParameterSpec::weight(name, value)
+        }));
+        specs
+    }
+
+    /// Puts other values of them in force.
+    fn set(&mut self, values: &[f64]) {
+        let (scalars, weights) = values.split_at(self.model.scalars().min(values.len()));
+        self.model.set_scalars(scalars);
+        if let Some(network) = self.model.network_mut() {
+            network.weights.iter_mut().zip(weights).for_each(|(own, value)| *own = *value);
+        }
+    }
+}
+
+/// The pair laws of a World: the model that a scene learns, on which densities stand, and those added to it.
 #[derive(Resource, Debug)]
-pub struct Law<const D: usize>(pub Box<dyn Model<D>>);
+pub struct Laws<const D: usize> {
+    /// The model.
+    pub model: PairTerm<D>,
+    /// Those that add their forces.
+    pub added: Vec<PairTerm<D>>,
+}
+
+impl<const D: usize> Laws<D> {
+    /// The model that moves the particles.
+    pub fn model(&self) -> &dyn Model<D> {
+        &*self.model.model
+    }
+
+    /// All of them, the model first.
+    pub fn all(&self) -> impl Iterator<Item = &PairTerm<D>> {
+        std::iter::once(&self.model).chain(&self.added)
+    }
+
+    /// The same, to change.
+    pub fn all_mut(&mut self) -> impl Iterator<Item = &mut PairTerm<D>> {
+        std::iter::once(&mut self.model).chain(&mut self.added)
+    }
+}
+
+/// Term: the forces of a pair law. The first in a World, which is the model's, runs the systems of all.
+#[derive(Clone, Debug)]
+pub struct PairForces {
+    /// Number of the law in [`Laws::all`].
+    pub law: usize,
+    /// Its name.
+    pub name: String,
+    /// Its parameters: scalars, then weights.
+    pub specs: Vec<ParameterSpec>,
+}
+
+impl<const D: usize> Term<D> for PairForces {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn parameters(&self) -> Vec<ParameterSpec> {
+        self.specs.clone()
+    }
+
+    fn set_parameters(&self, values: &[f64], world: &mut World) {
+        if let Some(law) = world.resource_mut::<Laws<D>>().all_mut().nth(self.law) {
+            law.set(values);
+        }
+    }
+
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        if self.law > 0 || !occasion.has_forces() {
+            return Vec::new();
+        }
+        let stage = Stage::new(Phase::Force, accelerate::<D>);
+        vec![stage.tangent(accelerate_tangent::<D>).pullback(accelerate_pullback::<D>)]
+    }
+
+    fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
+        let (laws, cloud) = (world.resource::<Laws<D>>(), world.resource::<Cloud<D>>());
+        let Some(law) = laws.all().nth(self.law) else { return Vec::new() };
+        let pairs = cloud.pairs(world.resource::<Neighbours<D>>());
+        let mut accelerations = vec![Vector::zero(); cloud.len()];
+        let names = law.model.part_names().iter().enumerate();
+        names
+            .map(|(part, name)| {
+                let chunks = accelerations.par_chunks_mut(CHUNK).enumerate();
+                chunks.for_each(|(chunk, out)| {
+                    pairs.meet(chunk, law, |hood, room| law.model.part(part, hood, room, out));
+                });
+                let name = format!("{}: {name}", self.name);
+                let kind = match (self.law, part) {
+                    (0, 0) => ContributionKind::Pressure,
+                    _ => ContributionKind::Viscosity,
+                };
+                Contribution::of(name, kind, law.model.mass(), &accelerations)
+            })
+            .collect()
+    }
+}
 
 /// Chunks whose pairs are held linearised at once: more spare a block's sensitivities from being fetched by
 /// two windows, fewer keep the pairs in the cache.
 pub(super) const WINDOW: usize = 4;
 
-/// Accelerations of all particles by the model's own force, in cell order.
-pub fn model_accelerations<const D: usize>(
-    pairs: Pairs<'_>,
-    (model, rooms): (&dyn Model<D>, &Rooms),
-    acceleration: &mut [Vector<f64, D>],
-) {
-    rooms.make_room(model.network(), pairs.fullest());
-    let chunks = acceleration.par_chunks_mut(CHUNK).enumerate();
-    chunks.with_max_len(AT_ONCE).for_each(|(chunk, out)| {
-        pairs.meet(chunk, (rooms, model.network()), |hood, room| {
-            model.accelerations(hood, room, out);
-        });
-    });
-}
-
-/// System: the force of all pairs.
+/// System: the force of all pairs, law by law.
 pub fn accelerate<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let mut acceleration = std::mem::take(&mut cloud.acceleration);
-    model_accelerations(cloud.pairs(&neighbours), (&*law.0, &rooms), &mut acceleration);
-    cloud.acceleration = acceleration;
-}
-
-/// System: writes the accelerations back to the particles.
-pub fn write_acceleration<const D: usize>(
-    mut accelerations: Query<&mut Acceleration<D>>,
-    cloud: Res<Cloud<D>>,
-) {
-    let mut slots = &cloud.slot_of_row[..];
-    for mut column in accelerations.contiguous_iter_mut().into_iter().flatten() {
-        let own = slots.split_off(..column.len()).unwrap_or_default();
-        let rows = column.par_iter_mut().zip(own).with_min_len(FEWEST);
-        rows.for_each(|(acceleration, &slot)| {
-            acceleration.0 = cloud.acceleration[slot as usize];
+    let pairs = cloud.pairs(&neighbours);
+    for (number, law) in laws.all().enumerate() {
+        law.rooms.make_room(&*law.model, pairs.fullest());
+        let chunks = acceleration.par_chunks_mut(CHUNK).enumerate();
+        chunks.with_max_len(AT_ONCE).for_each(|(chunk, accelerations)| {
+            pairs.meet(chunk, law, |hood, room| {
+                let out = ForceOutput { accelerations, add: number > 0 };
+                law.model.accelerations(hood, room, out);
+            });
         });
     }
+    cloud.acceleration = acceleration;
 }
 
 /// System: the tangent of [`accelerate`] for every block of parameters: the direct share of a
@@ -69,27 +180,41 @@ pub fn write_acceleration<const D: usize>(
 /// block's sensitivities are fetched once: while the block before it is at work.
 pub fn accelerate_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
-    let SensitivityCloud { blocks, coupling, stress_slopes, slopes, .. } = &mut *sensitivities;
+    let pairs = cloud.pairs(&neighbours);
+    for (number, law) in laws.all().enumerate() {
+        add_tangent(number, law, pairs, &mut sensitivities);
+    }
+}
+
+/// The tangent of one law's forces; the first law's takes the place of what was there.
+fn add_tangent<const D: usize>(
+    number: usize,
+    law: &PairTerm<D>,
+    pairs: Pairs<'_>,
+    sensitivities: &mut SensitivityCloud<D>,
+) {
+    let model = &*law.model;
+    let SensitivityCloud { blocks, coupling, stress_slopes, slopes, .. } = sensitivities;
     let coupling = *coupling;
     let (mut packed, mut directions, mut weights) = (Vec::new(), Vec::new(), Vec::new());
     let mut changes = Vec::new();
     for block in blocks {
         packed.push(&block.packed[..]);
-        directions.push(&block.directions);
-        weights.push(&block.weights[..]);
+        directions.push(&block.directions[number][..]);
+        weights.push(&block.weights[number][..]);
         changes.push(&mut block.acceleration[..]);
     }
-    let network = model.network().filter(|_| model.has_force_network());
-    if network.is_some() {
+    let direct = directions.iter().any(|of| of.iter().any(|d| *d != Lanes::ZERO));
+    let has_network = model.network().is_some() && model.has_force_network();
+    if has_network {
         let columns = changes.iter_mut().map(|column| &mut **column).collect();
         side_by_side(columns).into_par_iter().enumerate().for_each(|(chunk, columns)| {
-            pairs.meet(chunk, (rooms, network), |hood, room| {
-                start_with_shares(model, (hood, room), columns, &weights);
+            pairs.meet(chunk, law, |hood, room| {
+                add_shares(law, (hood, room), (columns, number > 0), &weights);
             });
         });
     }
@@ -97,17 +222,15 @@ pub fn accelerate_tangent<const D: usize>(
     for window in (0..pairs.chunks()).step_by(WINDOW) {
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *slopes).for_each(|(chunk, slopes)| {
-            let kept = Kept { coupling, stress_slopes };
-            pairs.meet(chunk, (rooms, model.network()), |hood, room| {
-                model.slopes(hood, kept, room, slopes);
-            });
+            let kept = Kept { coupling, direct, stress_slopes };
+            pairs.meet(chunk, law, |hood, room| model.slopes(hood, kept, room, slopes));
         });
         changes.par_iter_mut().enumerate().for_each(|(block, changes)| {
             let packed = [packed[block], packed.get(block + 1).copied().unwrap_or_default()];
             let columns = changes[window * CHUNK..].par_chunks_mut(CHUNK);
             let chunks = columns.zip(&*slopes).zip(chunks.clone());
             chunks.for_each(|((out, slopes), chunk)| {
-                if network.is_none() {
+                if !has_network && number == 0 {
                     out.fill(Vector([Lanes::ZERO; D]));
                 }
                 slopes.add_tangents(chunk * CHUNK, packed, directions[block], out);
@@ -118,25 +241,28 @@ pub fn accelerate_tangent<const D: usize>(
 
 /// `δF` of a chunk of particles, block by block, as far as it comes from each block's weights directly: eight
 /// particles at a time, whose derivatives by all weights stay in the cache meanwhile.
-fn start_with_shares<const D: usize>(
-    model: &dyn Model<D>,
+fn add_shares<const D: usize>(
+    law: &PairTerm<D>,
     (hood, room): (Hood<'_>, &mut Room),
-    mut blocks: Vec<&mut [Vector<Lanes, D>]>,
+    (mut blocks, add): (Vec<&mut [Vector<Lanes, D>]>, bool),
     weights: &[&[(usize, usize)]],
 ) {
-    let count = model.network().map_or(0, |network| network.weights.len());
+    let count = law.model.network().map_or(0, |network| network.weights.len());
     let mut shares = std::mem::take(&mut room.shares);
     for first in (0..hood.near.len()).step_by(WIDTH) {
         let particles = first..(first + WIDTH).min(hood.near.len());
         shares.resize(particles.len() * D * count, 0.0);
-        model.weight_shares(hood, first, room, &mut shares);
+        law.model.weight_shares(hood, first, room, &mut shares);
         for (out, weights) in blocks.iter_mut().zip(weights) {
             let rows = out[particles.clone()].iter_mut().zip(shares.chunks_exact(D * count));
             for (a, shares) in rows {
-                *a = Vector([Lanes::ZERO; D]);
+                if !add {
+                    *a = Vector([Lanes::ZERO; D]);
+                }
                 for &(lane, weight) in *weights {
                     for axis in 0..D {
-                        a[axis].set_lane(lane, shares[axis * count + weight]);
+                        let share = a[axis].lane(lane) + shares[axis * count + weight];
+                        a[axis].set_lane(lane, share);
                     }
                 }
             }
@@ -148,37 +274,43 @@ fn start_with_shares<const D: usize>(
 /// System: the pullback of [`accelerate`].
 pub fn accelerate_pullback<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
-    let one_way = model.passes_to_neighbours();
-    let count = adjoint.parameters.len();
-    adjoint.sum_parameters(count, |adjoint, sums| {
+    let pairs = cloud.pairs(&neighbours);
+    for law in laws.all() {
+        pull_back(law, pairs, &mut adjoint);
+        if law.model.passes_to_neighbours() {
+            let AdjointCloud { senders, near, .. } = &mut *adjoint;
+            senders.find(near, cloud.len());
+            fetch_shares(&mut adjoint);
+        }
+    }
+}
+
+/// The pullback of one law's forces, but for what neighbours have to fetch.
+fn pull_back<const D: usize>(law: &PairTerm<D>, pairs: Pairs<'_>, adjoint: &mut AdjointCloud<D>) {
+    let one_way = law.model.passes_to_neighbours();
+    adjoint.sum_parameters(&law.places, |adjoint, sums, width| {
         let AdjointCloud { packed: lines, position, velocity, scalars, shares, near, .. } = adjoint;
         shares.resize_with(near.len(), Vec::new);
         let forces: &[PackedAdjoint] = lines;
         let places = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
         let places = places.zip(scalars.par_chunks_mut(CHUNK)).zip(shares);
-        let places = places.zip(sums.par_chunks_mut(count));
+        let places = places.zip(sums.par_chunks_mut(width));
         near.par_iter().zip(places).for_each(|(near, (place, sums))| {
             let (((position, velocity), scalars), neighbours) = place;
             let places = if one_way { WIDTH * near.batches() } else { 0 };
             neighbours.resize(places, PairShare::ZERO);
             let into = Passed { position, velocity, scalars, neighbours };
-            rooms.enter(model.network(), |room| {
+            law.rooms.enter(&*law.model, |room| {
                 room.clear();
-                model.pull_back(pairs.hood(near), forces, room, into);
+                law.model.pull_back(pairs.hood(near), forces, room, into);
                 room.write_sums(sums);
             });
         });
     });
-    if one_way {
-        let AdjointCloud { senders, near, .. } = &mut *adjoint;
-        senders.find(near, cloud.len());
-        fetch_shares(&mut adjoint);
-    }
 }
 
 /// Each particle takes what its neighbours' forces have left for it.

@@ -1,13 +1,15 @@
 //! Density by summation, Eq. (17), with its tangent and its pullback.
 
-use super::acceleration::{Law, WINDOW};
+use super::acceleration::{Laws, WINDOW};
 use super::density_tangent::{DensityTangent, Pulls, PullsPass, StressColumns, StressTangent};
 use super::neighbours::Neighbours;
 use super::particles::{
-    AdjointCloud, Cloud, Density, Rooms, SensitivityBlock, SensitivityCloud, side_by_side,
+    AdjointCloud, Cloud, Density, Identity, SensitivityBlock, SensitivityCloud, side_by_side,
 };
+use super::term::{Stage, Term};
+use super::{Needs, Occasion, Phase};
 use crate::cells::FEWEST;
-use crate::models::{Medium, Model, Parameter, Room};
+use crate::models::{Medium, Model, Room};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Chunk, Entry, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
@@ -15,6 +17,26 @@ use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
+
+/// Term: densities by summation, and what the model makes of them.
+#[derive(Clone, Copy, Debug)]
+pub struct DensitySummation;
+
+impl<const D: usize> Term<D> for DensitySummation {
+    fn name(&self) -> String {
+        "density".to_owned()
+    }
+
+    /// The forces that begin a step see the densities that ended the one before, and leave their derivatives to them.
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        if occasion == Occasion::Refresh {
+            return vec![Stage::backwards(Phase::Density, carry_density_pullback::<D>)];
+        }
+        let sum = (sum_density::<D>, write_density::<D>).chain();
+        let stage = Stage::new(Phase::Density, sum);
+        vec![stage.tangent(sum_density_tangent::<D>).pullback(sum_density_pullback::<D>)]
+    }
+}
 
 /// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles; and which of the listed pairs have a
 /// share in it: a mask for each eight.
@@ -62,10 +84,11 @@ impl<const D: usize> DensityPass<'_, D> {
 /// System: sums the density at every particle, and what the model makes of it.
 pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let (space, medium) = (neighbours.space, law.0.medium());
+    let (model, rooms) = (laws.model(), &laws.model.rooms);
+    let (space, medium) = (neighbours.space, model.medium());
     let (mut density, mut masks) =
         (std::mem::take(&mut cloud.density), std::mem::take(&mut cloud.masks));
     masks.resize_with(neighbours.chunks.len(), Vec::new);
@@ -81,8 +104,8 @@ pub fn sum_density<const D: usize>(
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {
         lines.iter_mut().zip(density).for_each(|(line, &rho)| line.density = rho);
-        if law.0.has_stress() {
-            rooms.enter(law.0.network(), |room| find_stress(&*law.0, lines, room));
+        if model.has_stress() {
+            rooms.enter(model, |room| find_stress(model, lines, room));
         }
     });
     let lines = singles.par_iter_mut().zip(&packed[..count]).with_min_len(FEWEST);
@@ -112,23 +135,30 @@ fn find_stress<const D: usize>(model: &dyn Model<D>, lines: &mut [Packed], room:
 }
 
 /// System: writes the densities back to the particles.
-pub fn write_density<const D: usize>(mut densities: Query<&mut Density>, cloud: Res<Cloud<D>>) {
-    let mut slots = &cloud.slot_of_row[..];
-    for mut column in densities.contiguous_iter_mut().into_iter().flatten() {
-        let own = slots.split_off(..column.len()).unwrap_or_default();
-        let rows = column.par_iter_mut().zip(own).with_min_len(FEWEST);
-        rows.for_each(|(density, &slot)| density.0 = cloud.density[slot as usize]);
+pub fn write_density<const D: usize>(
+    mut densities: Query<(&Identity, &mut Density)>,
+    cloud: Res<Cloud<D>>,
+) {
+    let slots = &cloud.slot_of_row[..];
+    for (ids, mut column) in densities.contiguous_iter_mut().into_iter().flatten() {
+        let rows = column.par_iter_mut().zip(ids).with_min_len(FEWEST);
+        rows.for_each(|(density, id)| {
+            if let Some(&slot) = slots.get(id.0 as usize) {
+                density.0 = cloud.density[slot as usize];
+            }
+        });
     }
 }
 
 /// System: the tangent of [`sum_density`] for every block of parameters.
 pub fn sum_density_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (model, rooms, pairs) = (&*law.0, &*rooms, cloud.pairs(&neighbours));
+    let (law, pairs) = (&laws.model, cloud.pairs(&neighbours));
+    let model = laws.model();
     let (medium, precision) = (model.medium(), cloud.precision);
     let SensitivityCloud { blocks, coupling, stress_slopes, pulls, .. } = &mut *sensitivities;
     stress_slopes.resize(cloud.len(), 0.0);
@@ -142,7 +172,7 @@ pub fn sum_density_tangent<const D: usize>(
     for window in (0..pairs.chunks()).step_by(WINDOW) {
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
-            pairs.meet(chunk, (rooms, model.network()), |hood, _| {
+            pairs.meet(chunk, law, |hood, _| {
                 dispatch_in(precision, PullsPass { hood, medium, coupling, into });
             });
         });
@@ -161,12 +191,13 @@ pub fn sum_density_tangent<const D: usize>(
     for block in blocks {
         let SensitivityBlock { packed: lines, density, directions, weights, .. } = block;
         packed.push(&mut lines[..]);
+        let (directions, weights) = (&directions[0][..], &weights[0][..]);
         columns.push(StressColumns { density, directions, weights });
     }
     let chunks = side_by_side(packed).into_par_iter().zip(cloud.particles().par_chunks(CHUNK));
     let chunks = chunks.zip(stress_slopes.par_chunks_mut(CHUNK)).enumerate();
     chunks.for_each(|(chunk, ((lines, particles), slopes))| {
-        rooms.enter(model.network(), |room| {
+        law.rooms.enter(model, |room| {
             let (first, columns, into) = (chunk * CHUNK, &columns[..], (lines, slopes));
             StressTangent { model, first, columns, particles, into, room }.run();
         });
@@ -212,19 +243,18 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
 /// System: the pullback of [`sum_density`]: `∂L/∂A` and `∂L/∂ρ` become `∂L/∂r` and parameters.
 pub fn sum_density_pullback<const D: usize>(
     neighbours: Res<Neighbours<D>>,
-    (law, rooms): (Res<Law<D>>, Res<Rooms>),
+    laws: Res<Laws<D>>,
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let model = &*law.0;
-    let weights = model.network().filter(|_| model.has_stress_network());
-    let count = Parameter::COUNT + weights.map_or(0, |network| network.weights.len());
-    adjoint.sum_parameters(count, |adjoint, sums| {
+    let (law, model) = (&laws.model, laws.model());
+    let places = if model.has_stress_network() { &law.places } else { law.scalars() };
+    adjoint.sum_parameters(places, |adjoint, sums, width| {
         let AdjointCloud { packed: lines, scalars, .. } = adjoint;
         let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
-        let chunks = chunks.zip(sums.par_chunks_mut(count));
+        let chunks = chunks.zip(sums.par_chunks_mut(width));
         lines[..cloud.len()].par_chunks_mut(CHUNK).zip(chunks).for_each(|(lines, (rows, sums))| {
-            rooms.enter(model.network(), |room| {
+            law.rooms.enter(model, |room| {
                 room.clear();
                 pull_stress_back(model, room, rows, lines);
                 room.write_sums(sums);

@@ -1,7 +1,7 @@
 //! What the tangent of the density, and of the stress it causes, is made of.
 
 use super::density::densities;
-use crate::models::{Medium, Model, Parameter, Room, StressSlope};
+use crate::models::{Medium, Model, Room};
 use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::{Eight, Hood, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
@@ -135,8 +135,8 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
 pub(super) struct StressColumns<'a> {
     /// `δρ` per slot.
     pub(super) density: &'a [Lanes],
-    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
-    pub(super) directions: &'a [Lanes; Parameter::COUNT],
+    /// `∂(the model's scalar parameters)/∂(the eight learned parameters)`.
+    pub(super) directions: &'a [Lanes],
     /// `(lane, place in the network)` of the weights among the eight.
     pub(super) weights: &'a [(usize, usize)],
 }
@@ -161,18 +161,19 @@ impl<const D: usize> StressTangent<'_, '_, D> {
         let rows = slopes.chunks_mut(WIDTH).zip(particles.chunks(WIDTH));
         for (number, (slopes, particles)) in rows.enumerate() {
             let rho = densities(particles);
-            let stress = model.stress_slope(rho, room);
+            let by_density = model.stress_slope(rho, room);
             if with_weights {
                 model.stress_weights(rho, room);
             }
             for (lane, slope) in slopes.iter_mut().enumerate() {
-                *slope = stress.by_density.lane(lane);
+                *slope = by_density.lane(lane);
             }
             let by_weight = with_weights.then_some(&room.weights[..]);
             for (lines, columns) in blocks.iter_mut().zip(columns) {
                 let lines = &mut lines[number * WIDTH..][..slopes.len()];
                 let density = &columns.density[first + number * WIDTH..];
-                dispatch(Fill { columns, density, lines, stress: &stress, by_weight });
+                let stress = (by_density, &room.stress_by[..]);
+                dispatch(Fill { columns, density, lines, stress, by_weight });
             }
         }
     }
@@ -183,7 +184,8 @@ struct Fill<'a, const D: usize> {
     columns: &'a StressColumns<'a>,
     density: &'a [Lanes],
     lines: &'a mut [PackedSensitivity<D>],
-    stress: &'a StressSlope,
+    /// `∂A/∂ρ`, and `∂A` by each of the model's scalar parameters.
+    stress: (Lanes, &'a [Lanes]),
     by_weight: Option<&'a [Lanes]>,
 }
 
@@ -192,7 +194,7 @@ impl<const D: usize> Pass for Fill<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { columns, density, lines, stress, by_weight } = self;
+        let Self { columns, density, lines, stress: (by_density, by_parameter), by_weight } = self;
         let mut direct = [Lanes::ZERO; WIDTH];
         if let Some(by_weight) = by_weight {
             for &(column, weight) in columns.weights {
@@ -201,8 +203,8 @@ impl<const D: usize> Pass for Fill<'_, D> {
         }
         let direct = transposed::<W>(&direct);
         for (lane, (line, density)) in lines.iter_mut().zip(density).enumerate() {
-            let mut change = W::Double::load(density) * stress.by_density.lane(lane);
-            for (direction, slope) in columns.directions.iter().zip(&stress.by_parameter) {
+            let mut change = W::Double::load(density) * by_density.lane(lane);
+            for (direction, slope) in columns.directions.iter().zip(by_parameter) {
                 change += W::Double::load(direction) * slope.lane(lane);
             }
             line.density = *density;

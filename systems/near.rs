@@ -1,8 +1,8 @@
 //! Who of the listed neighbours is near, chunk by chunk, as the loops over pairs come to it.
 
+use super::acceleration::PairTerm;
 use super::neighbours::Neighbours;
-use super::particles::Rooms;
-use crate::models::{Learned, Room};
+use crate::models::Room;
 use crate::near::Near;
 use crate::pairs::{Chunk, Hood, Lines};
 use crate::space::PeriodicBox;
@@ -52,14 +52,14 @@ impl<'a> Pairs<'a> {
         Hood { lines: self.lines, near, space: self.space }
     }
 
-    /// Calls `work` with a chunk of particles and a room for a network.
-    pub(super) fn meet<T>(
+    /// Calls `work` with a chunk of particles and a room for a law.
+    pub(super) fn meet<T, const D: usize>(
         &self,
         chunk: usize,
-        (rooms, network): (&Rooms, Option<&Learned>),
+        law: &PairTerm<D>,
         work: impl FnOnce(Hood<'_>, &mut Room) -> T,
     ) -> T {
-        rooms.enter(network, |room| {
+        law.rooms.enter(&*law.model, |room| {
             let mut near = std::mem::take(&mut room.near);
             self.find(chunk, &mut near);
             let result = work(self.hood(&near), room);

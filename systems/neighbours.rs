@@ -7,8 +7,9 @@
 
 use super::lists::{ListPass, Workbench};
 use super::movement::Movement;
-use super::particles::{Acceleration, Cloud, Pool, Position, Velocity, whole_column};
-use super::verlet::Integrator;
+use super::particles::{Cloud, Identity, Particles, Pool, Position};
+use super::term::{Stage, Term};
+use super::{Needs, Occasion, Phase};
 use crate::cells::{Cells, FEWEST};
 use crate::packed::PackedSingle;
 use crate::pairs::AT_ONCE;
@@ -226,37 +227,29 @@ pub fn brute_force<const D: usize>(
         .collect()
 }
 
+/// Term: the neighbour lists.
+#[derive(Clone, Copy, Debug)]
+pub struct NeighbourSearch;
+
+impl<const D: usize> Term<D> for NeighbourSearch {
+    fn name(&self) -> String {
+        "neighbours".to_owned()
+    }
+
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        let stage = || Stage::constant(Phase::Neighbours, find_neighbours::<D>);
+        if occasion.has_densities() { vec![stage()] } else { Vec::new() }
+    }
+}
+
 /// System: brings the neighbour lists, and the order of the cloud, up to date.
 pub fn find_neighbours<const D: usize>(
-    positions: Query<&Position<D>>,
+    positions: Query<(&Identity, &Position<D>)>,
+    particles: Res<Particles>,
     mut neighbours: ResMut<Neighbours<D>>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let positions = whole_column(positions.contiguous_iter().into_iter().flatten());
+    let tables = positions.contiguous_iter().into_iter().flatten();
+    let positions = particles.gather(tables, Position(Vector::zero()));
     neighbours.update(&positions, &mut cloud);
-}
-
-/// System: packs the velocity that the next force evaluation sees and, where particles have `MOVED` since the
-/// last time, their positions.
-pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
-    particles: Query<(&Position<D>, &Velocity<D>, &Acceleration<D>)>,
-    (integrator, neighbours): (Res<Integrator>, Res<Neighbours<D>>),
-    mut cloud: ResMut<Cloud<D>>,
-) {
-    let half_step = if PREDICTED { 0.5 * integrator.dt } else { 0.0 };
-    let columns = || particles.contiguous_iter().into_iter().flatten();
-    let positions = whole_column(columns().map(|(positions, ..)| positions));
-    let velocities = whole_column(columns().map(|(_, velocities, _)| velocities));
-    let accelerations = whole_column(columns().map(|(.., accelerations)| accelerations));
-    let rows = &neighbours.cells.row_of_slot;
-    let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(FEWEST);
-    lines.for_each(|(line, &row)| {
-        let v = velocities[row as usize].0;
-        let seen = if PREDICTED { v + accelerations[row as usize].0 * half_step } else { v };
-        line.velocity = seen.to_3d();
-        if MOVED {
-            line.position = positions[row as usize].0.to_3d();
-        }
-    });
-    cloud.round(integrator.space);
 }

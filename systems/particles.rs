@@ -5,7 +5,7 @@ use super::density_tangent::Pulls;
 use super::near::Pairs;
 use super::neighbours::Neighbours;
 use crate::cells::FEWEST;
-use crate::models::{Learned, PairShare, Room, Slopes};
+use crate::models::{Model, PairShare, Room, Slopes};
 use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::{CHUNK, Lines};
@@ -18,7 +18,10 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Number of the particle in its flow, `0..N`: the key under which recordings know it.
+/// Number of the particle in its flow, `0..N`: the key under which recordings, truths and packed arrays know it.
+///
+/// An entity without it is no particle of the fluid, whatever else it carries: no system moves it, and no force meets
+/// it. Particles keep their numbers; a flow whose particles are fewer or more than it started with is refused.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity(pub u32);
 
@@ -75,14 +78,41 @@ pub struct VelocityAdjoint<const D: usize>(pub Vector<f64, D>);
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
 
-/// All rows of a component: where they lie, if all are together, or copied together from the tables
-/// that they are spread over.
-pub(super) fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'a, [T]> {
-    let first = parts.next().unwrap_or_default();
-    let Some(second) = parts.next() else { return Cow::Borrowed(first) };
-    let mut whole = [first, second].concat();
-    parts.for_each(|part| whole.extend_from_slice(part));
-    Cow::Owned(whole)
+/// How many particles a World has.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Particles(pub usize);
+
+/// One table of particles: their numbers, and a component of each.
+type Table<'a, T> = (&'a [Identity], &'a [T]);
+
+impl Particles {
+    /// A component of all particles, particle `k` in row `k`: as it lies in the World where it lies in that order, and
+    /// gathered by [`Identity`] where components of a caller's own have moved particles to other tables.
+    pub(super) fn gather<'a, T: Copy>(
+        self,
+        mut tables: impl Iterator<Item = Table<'a, T>>,
+        nothing: T,
+    ) -> Cow<'a, [T]> {
+        let (ids, first) = tables.next().unwrap_or_default();
+        let second = tables.next();
+        if second.is_none() && self.are_in_order(ids) {
+            return Cow::Borrowed(first);
+        }
+        let mut all = vec![nothing; self.0];
+        for (ids, values) in [(ids, first)].into_iter().chain(second).chain(tables) {
+            for (id, value) in ids.iter().zip(values) {
+                if let Some(row) = all.get_mut(id.0 as usize) {
+                    *row = *value;
+                }
+            }
+        }
+        Cow::Owned(all)
+    }
+
+    /// Whether these are all of them, particle `k` in row `k`.
+    pub(crate) fn are_in_order(self, ids: &[Identity]) -> bool {
+        ids.len() == self.0 && (0..).zip(ids).all(|(row, id)| id.0 == row)
+    }
 }
 
 /// The chunks of columns of equal length, chunk by chunk.
@@ -121,7 +151,7 @@ pub struct AdjointCloud<const D: usize> {
     pub shares: Vec<Vec<PairShare<D>>>,
     /// Where each particle finds what was left for it.
     pub senders: Senders,
-    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, summed over the evaluations so far.
+    /// `∂L/∂` of every parameter of the flat vector, summed over the evaluations so far.
     pub parameters: Vec<f64>,
     /// The same of one evaluation, chunk by chunk.
     pub sums: Vec<f64>,
@@ -135,18 +165,20 @@ impl<const D: usize> AdjointCloud<D> {
         self.senders.forget();
     }
 
-    /// Adds to the first `count` parameters the sums that `write` finds for each chunk of particles,
-    /// `count` numbers a chunk.
+    /// Adds to the parameters at some places the sums that `write` finds for each chunk of particles, as many numbers
+    /// a chunk as it is told.
     pub(super) fn sum_parameters(
         &mut self,
-        count: usize,
-        write: impl FnOnce(&mut Self, &mut [f64]),
+        places: &[usize],
+        write: impl FnOnce(&mut Self, &mut [f64], usize),
     ) {
+        // A chunk has one number at least, so that chunks of sums and of particles run side by side.
+        let width = places.len().max(1);
         let mut sums = std::mem::take(&mut self.sums);
-        sums.resize(count * self.position.len().div_ceil(CHUNK), 0.0);
-        write(self, &mut sums);
-        for sum in sums.chunks_exact(count) {
-            self.parameters.iter_mut().zip(sum).for_each(|(total, sum)| *total += sum);
+        sums.resize(width * self.position.len().div_ceil(CHUNK), 0.0);
+        write(self, &mut sums, width);
+        for sum in sums.chunks_exact(width) {
+            places.iter().zip(sum).for_each(|(&place, sum)| self.parameters[place] += sum);
         }
         self.sums = sums;
     }
@@ -231,10 +263,20 @@ pub struct SensitivityBlock<const D: usize> {
     pub density: Vec<Lanes>,
     /// `δF` per slot.
     pub acceleration: Vec<Vector<Lanes, D>>,
-    /// `∂(c, α, β, γ, θ)/∂(the eight learned parameters)`.
-    pub directions: [Lanes; 5],
-    /// `(lane, place in the network)` of the weights among the eight.
-    pub weights: Vec<(usize, usize)>,
+    /// The learned parameters: `(lane, place in the flat vector)`.
+    pub columns: Vec<(usize, usize)>,
+    /// Of each pair law, in order: `∂(its scalar parameters)/∂(the eight learned parameters)`.
+    pub directions: Vec<Vec<Lanes>>,
+    /// Of each pair law, in order: `(lane, place in its network)` of its weights among the eight.
+    pub weights: Vec<Vec<(usize, usize)>>,
+}
+
+impl<const D: usize> SensitivityBlock<D> {
+    /// `∂(the parameter at a place of the flat vector)/∂(the eight learned parameters)`: one in a lane, or zero.
+    pub fn direction(&self, place: usize) -> Lanes {
+        let column = self.columns.iter().find(|(_, own)| *own == place);
+        column.map_or(Lanes::ZERO, |&(lane, _)| Lanes::unit(lane))
+    }
 }
 
 /// The blocks of a World that learns; absent where nothing is learned.
@@ -294,20 +336,24 @@ impl<T> Pool<T> {
     }
 }
 
-/// Rooms in which threads evaluate the model.
-#[derive(Resource, Debug, Default)]
+/// Rooms in which threads evaluate a model.
+#[derive(Debug, Default)]
 pub struct Rooms(Pool<Room>);
 
 impl Rooms {
-    /// Calls `work` with a room for this network.
-    pub fn enter<T>(&self, network: Option<&Learned>, work: impl FnOnce(&mut Room) -> T) -> T {
-        self.0.lend(|| Room::new(network), work)
+    /// Calls `work` with a room for this model.
+    pub fn enter<T, const D: usize>(
+        &self,
+        model: &dyn Model<D>,
+        work: impl FnOnce(&mut Room) -> T,
+    ) -> T {
+        self.0.lend(|| model.room(), work)
     }
 
-    /// Gives all threads room for so many eights of who is near: which of them meets the fullest chunk is up to
-    /// the scheduler, and whoever meets it next shall find room.
-    pub(super) fn make_room(&self, network: Option<&Learned>, eights: usize) {
-        let mut rooms = self.0.for_all_threads(|| Room::new(network));
+    /// Gives all threads room for so many eights of near neighbours: which of them meets the fullest chunk is up to
+    /// the scheduler, and whichever meets it next must find room.
+    pub(super) fn make_room<const D: usize>(&self, model: &dyn Model<D>, eights: usize) {
+        let mut rooms = self.0.for_all_threads(|| model.room());
         rooms.iter_mut().for_each(|room| room.near.make_room(eights));
     }
 }

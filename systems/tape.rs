@@ -2,12 +2,10 @@
 //! back, last first, on the way backward.
 
 use super::neighbours::{Chunk, Neighbours};
-use super::particles::{
-    AccelerationAdjoint, AdjointCloud, Cloud, PositionAdjoint, VelocityAdjoint,
-};
-use super::verlet::{Clock, Integrator};
+use super::particles::{AdjointCloud, Cloud, Identity, PositionAdjoint, VelocityAdjoint};
+use super::verlet::Clock;
 use crate::losses::StateAdjoint;
-use crate::packed::{Packed, PackedAdjoint};
+use crate::packed::Packed;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
@@ -44,6 +42,8 @@ pub struct FrameAdjoint<const D: usize> {
     /// `∂L/∂ρ` by row, through the densities of the step's last evaluation, which are those that the loss
     /// saw.
     pub density: Vec<f64>,
+    /// `∂L/∂` of parameters that the loss depends on directly: place in the flat vector, and derivative.
+    pub parameters: Vec<(usize, f64)>,
 }
 
 impl<const D: usize> FrameAdjoint<D> {
@@ -64,6 +64,18 @@ impl<const D: usize> FrameAdjoint<D> {
         by_row(&mut self.position, &adjoint.position, slot_of_row);
         by_row(&mut self.velocity, &adjoint.velocity, slot_of_row);
         by_row(&mut self.density, &adjoint.density, slot_of_row);
+        self.parameters.clone_from(&adjoint.parameters);
+    }
+
+    /// Adds another loss of the same frame, from the order of slots.
+    fn add(&mut self, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
+        let vectors = self.position.iter_mut().zip(&mut self.velocity).zip(&mut self.density);
+        for (((r, v), rho), &slot) in vectors.zip(slot_of_row) {
+            *r += adjoint.position[slot as usize];
+            *v += adjoint.velocity[slot as usize];
+            *rho += adjoint.density[slot as usize];
+        }
+        self.parameters.extend_from_slice(&adjoint.parameters);
     }
 }
 
@@ -87,8 +99,11 @@ impl<const D: usize> Tape<D> {
         self.spare.1.append(&mut self.frames);
     }
 
-    /// Keeps how the loss depends on an observed frame, from the order of slots.
+    /// Keeps how a loss depends on an observed frame, from the order of slots; several losses of one frame add up.
     pub fn push_frame(&mut self, step: u64, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
+        if let Some(frame) = self.frames.last_mut().filter(|frame| frame.step == step) {
+            return frame.add(adjoint, slot_of_row);
+        }
         let mut frame = self.spare.1.pop().unwrap_or_default();
         frame.fill(step, adjoint, slot_of_row);
         self.frames.push(frame);
@@ -102,6 +117,25 @@ impl<const D: usize> Tape<D> {
         evaluation.masks.clone_from(&cloud.masks);
         (evaluation.chunks, evaluation.step) = (Arc::clone(chunks), step);
         self.evaluations.push(evaluation);
+    }
+
+    /// Brings a cloud back to the last evaluation, and says to which step its positions belong.
+    pub(super) fn rewind(
+        &mut self,
+        cloud: &mut Cloud<D>,
+        neighbours: &mut Neighbours<D>,
+    ) -> Option<u64> {
+        let mut evaluation = self.evaluations.pop()?;
+        let step = evaluation.step;
+        std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
+        std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
+        std::mem::swap(&mut cloud.masks, &mut evaluation.masks);
+        neighbours.chunks = std::mem::take(&mut evaluation.chunks);
+        // They are older than the cells: the next step forwards builds both anew.
+        neighbours.invalidate();
+        cloud.round(neighbours.space);
+        self.discard(evaluation);
+        Some(step)
     }
 
     /// Leaves the memory of an evaluation for the next.
@@ -162,90 +196,24 @@ pub fn record_evaluation<const D: usize>(
     }
 }
 
-/// System: brings the cloud back to the last evaluation on the tape, and packs `∂L/∂F` for it.
-pub fn rewind_evaluation<const D: usize>(
-    mut tape: ResMut<Tape<D>>,
-    (mut neighbours, mut cloud): (ResMut<Neighbours<D>>, ResMut<Cloud<D>>),
-    (mut clock, mut adjoint): (ResMut<Clock>, ResMut<AdjointCloud<D>>),
-    mut rows: Query<&mut AccelerationAdjoint<D>>,
-) {
-    let Some(mut evaluation) = tape.evaluations.pop() else { return };
-    let count = evaluation.slot_of_row.len();
-    std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
-    std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
-    std::mem::swap(&mut cloud.masks, &mut evaluation.masks);
-    neighbours.chunks = std::mem::take(&mut evaluation.chunks);
-    // They are older than the cells: whoever goes forward from here builds both anew.
-    neighbours.invalidate();
-    cloud.round(neighbours.space);
-    clock.evaluated = evaluation.step;
-    // The forces that begin a step see the pairs of those that ended the one before.
-    if adjoint.sifted != Some(evaluation.step) {
-        adjoint.sift(cloud.pairs(&neighbours));
-        adjoint.sifted = Some(evaluation.step);
-    }
-    tape.discard(evaluation);
-    adjoint.packed.clear();
-    adjoint.packed.resize(count + 1, PackedAdjoint::ZERO);
-    let AdjointCloud { position, velocity, .. } = &mut *adjoint;
-    for column in [position, velocity] {
-        column.clear();
-        column.resize(count, Vector::zero());
-    }
-    let mut slots = cloud.slot_of_row.iter();
-    for column in rows.contiguous_iter_mut().into_iter().flatten() {
-        for (a, &slot) in column.into_iter().zip(&mut slots) {
-            adjoint.packed[slot as usize].force = a.0.to_3d();
-            a.0 = Vector::zero();
-        }
-    }
-    let AdjointCloud { scalars, carried, .. } = &mut *adjoint;
-    scalars.clear();
-    scalars.resize(count, (0.0, 0.0));
-    for (&share, &slot) in carried.iter().zip(&cloud.slot_of_row) {
-        scalars[slot as usize] = share;
-    }
-    carried.clear();
-}
-
-/// System: the pullback of packing: what an evaluation passed back goes to the particles. Where the
-/// force saw the velocity predicted with the carried force, that force has its share.
-pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
-    mut rows: Query<(
-        &mut PositionAdjoint<D>,
-        &mut VelocityAdjoint<D>,
-        &mut AccelerationAdjoint<D>,
-    )>,
-    (cloud, adjoint): (Res<Cloud<D>>, Res<AdjointCloud<D>>),
-    integrator: Res<Integrator>,
-) {
-    let mut slots = cloud.slot_of_row.iter();
-    for (positions, velocities, accelerations) in rows.contiguous_iter_mut().into_iter().flatten() {
-        let columns = positions.into_iter().zip(velocities).zip(accelerations);
-        for (((r, v), a), &slot) in columns.zip(&mut slots) {
-            let through = adjoint.velocity[slot as usize];
-            r.0 += adjoint.position[slot as usize];
-            v.0 += through;
-            if PREDICTED {
-                a.0 += through * (0.5 * integrator.dt);
-            }
-        }
-    }
-}
-
 /// System: adds the loss of the step just come back to.
 pub fn add_loss<const D: usize>(
-    mut rows: Query<(&mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
+    mut rows: Query<(&Identity, &mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
     clock: Res<Clock>,
     (mut tape, mut adjoint): (ResMut<Tape<D>>, ResMut<AdjointCloud<D>>),
 ) {
     let Some(frame) = tape.frames.pop_if(|frame| frame.step == clock.step) else { return };
-    let mut shares = frame.position.iter().zip(&frame.velocity);
-    for (positions, velocities) in rows.contiguous_iter_mut().into_iter().flatten() {
-        for ((r, v), (&by_r, &by_v)) in positions.into_iter().zip(velocities).zip(&mut shares) {
-            r.0 += by_r;
-            v.0 += by_v;
+    for (ids, positions, velocities) in rows.contiguous_iter_mut().into_iter().flatten() {
+        for ((r, v), id) in positions.into_iter().zip(velocities).zip(ids) {
+            let row = id.0 as usize;
+            if let (Some(&by_r), Some(&by_v)) = (frame.position.get(row), frame.velocity.get(row)) {
+                r.0 += by_r;
+                v.0 += by_v;
+            }
         }
+    }
+    for &(place, by) in &frame.parameters {
+        adjoint.parameters[place] += by;
     }
     // The loss of a step saw the densities of its last evaluation.
     adjoint.carried.resize(frame.density.len(), (0.0, 0.0));

@@ -1,14 +1,12 @@
 //! The step in time, appendix A.4: kicks and drifts, with their tangents.
 
-use super::neighbours::Neighbours;
 use super::particles::{
-    Acceleration, AccelerationAdjoint, AccelerationSensitivity, BlockOf, Cloud, Position,
-    PositionAdjoint, PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity,
-    VelocityAdjoint, VelocitySensitivity, whole_column,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, Identity, Position,
+    PositionAdjoint, PositionSensitivity, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
+use super::term::{Stage, Term};
+use super::{Needs, Occasion, Phase};
 use crate::cells::FEWEST;
-use crate::packed::PackedSensitivity;
-use crate::pairs::CHUNK;
 use crate::scalar::{Lanes, Pass, Wide, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -95,9 +93,36 @@ impl Clock {
     }
 }
 
+/// Term: the kicks and the drift of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct KickAndDrift;
+
+impl<const D: usize> Term<D> for KickAndDrift {
+    fn name(&self) -> String {
+        "kick and drift".to_owned()
+    }
+
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        if occasion != Occasion::Step {
+            return Vec::new();
+        }
+        vec![
+            Stage::new(Phase::FirstKick, kick::<D>)
+                .tangent(kick_tangent::<D>)
+                .pullback(kick_pullback::<D>),
+            Stage::new(Phase::Drift, drift::<D>)
+                .tangent(drift_tangent::<D>)
+                .pullback(drift_pullback::<D>),
+            Stage::new(Phase::SecondKick, (kick::<D>, tick).chain())
+                .tangent(kick_tangent::<D>)
+                .pullback((tick_pullback, kick_pullback::<D>).chain()),
+        ]
+    }
+}
+
 /// System: half a kick, `v += dt/2 F`.
 pub fn kick<const D: usize>(
-    mut particles: Query<(&mut Velocity<D>, &Acceleration<D>)>,
+    mut particles: Query<(&mut Velocity<D>, &Acceleration<D>), With<Identity>>,
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
@@ -109,7 +134,7 @@ pub fn kick<const D: usize>(
 
 /// System: the drift, `r += dt v`, back into the box.
 pub fn drift<const D: usize>(
-    mut particles: Query<(&mut Position<D>, &Velocity<D>)>,
+    mut particles: Query<(&mut Position<D>, &Velocity<D>), With<Identity>>,
     integrator: Res<Integrator>,
     mut clock: ResMut<Clock>,
 ) {
@@ -169,119 +194,9 @@ impl<const D: usize> Pass for Add<'_, D> {
     }
 }
 
-/// System: packs `δr` and the `δv` of the velocity that the next force evaluation sees; where particles have
-/// not `MOVED` since the last time, `δv` alone.
-pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
-    rows: Query<(
-        &BlockOf,
-        &PositionSensitivity<D>,
-        &VelocitySensitivity<D>,
-        &AccelerationSensitivity<D>,
-    )>,
-    integrator: Res<Integrator>,
-    neighbours: Res<Neighbours<D>>,
-    mut sensitivities: ResMut<SensitivityCloud<D>>,
-) {
-    let columns = || rows.contiguous_iter().into_iter().flatten();
-    let positions = whole_column(columns().map(|(_, r, ..)| r));
-    let velocities = whole_column(columns().map(|(_, _, v, _)| v));
-    let accelerations = whole_column(columns().map(|(.., a)| a));
-    let rows = &neighbours.cells.row_of_slot[..];
-    let half = 0.5 * integrator.dt;
-    sensitivities.blocks.par_iter_mut().enumerate().for_each(|(block, cloud)| {
-        // Block by block, as they were spawned.
-        let own = block * rows.len()..(block + 1) * rows.len();
-        let columns = Columns {
-            positions: MOVED.then_some(&positions[own.clone()]),
-            velocities: &velocities[own.clone()],
-            accelerations: PREDICTED.then_some(&accelerations[own]),
-            half,
-        };
-        let chunks = cloud.packed.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK));
-        chunks.for_each(|(lines, rows)| dispatch(Pack { columns, rows, lines }));
-    });
-}
-
-/// What one block is packed from.
-#[derive(Clone, Copy)]
-struct Columns<'a, const D: usize> {
-    positions: Option<&'a [PositionSensitivity<D>]>,
-    velocities: &'a [VelocitySensitivity<D>],
-    accelerations: Option<&'a [AccelerationSensitivity<D>]>,
-    half: f64,
-}
-
-/// Packs some slots of one block.
-struct Pack<'a, const D: usize> {
-    columns: Columns<'a, D>,
-    rows: &'a [u32],
-    lines: &'a mut [PackedSensitivity<D>],
-}
-
-impl<const D: usize> Pass for Pack<'_, D> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { columns: Columns { positions, velocities, accelerations, half }, rows, lines } =
-            self;
-        for (line, &row) in lines.iter_mut().zip(rows) {
-            let row = row as usize;
-            if let Some(positions) = positions {
-                for axis in 0..D {
-                    line.position[axis] = W::Double::load(&positions[row].0[axis]).store();
-                }
-            }
-            for axis in 0..D {
-                let mut seen = W::Double::load(&velocities[row].0[axis]);
-                if let Some(accelerations) = accelerations {
-                    seen += W::Double::load(&accelerations[row].0[axis]) * half;
-                }
-                line.velocity[axis] = seen.store();
-            }
-        }
-    }
-}
-
-/// System: writes `δF` back to the blocks.
-pub fn write_acceleration_tangent<const D: usize>(
-    mut rows: Query<(&BlockOf, &mut AccelerationSensitivity<D>)>,
-    cloud: Res<Cloud<D>>,
-    sensitivities: Res<SensitivityCloud<D>>,
-) {
-    let (slots, blocks) = (&cloud.slot_of_row[..], &sensitivities.blocks[..]);
-    for (of, mut a) in rows.contiguous_iter_mut().into_iter().flatten() {
-        let chunks = a.par_chunks_mut(CHUNK).zip(of.par_chunks(CHUNK));
-        chunks.for_each(|(a, of)| dispatch(Write { of, slots, blocks, a }));
-    }
-}
-
-/// Writes some rows' `δF`.
-struct Write<'a, const D: usize> {
-    of: &'a [BlockOf],
-    slots: &'a [u32],
-    blocks: &'a [SensitivityBlock<D>],
-    a: &'a mut [AccelerationSensitivity<D>],
-}
-
-impl<const D: usize> Pass for Write<'_, D> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<W: Wide>(self) {
-        for (a, of) in self.a.iter_mut().zip(self.of) {
-            let slot = self.slots[of.particle as usize] as usize;
-            let found = &self.blocks[of.block as usize].acceleration[slot];
-            for axis in 0..D {
-                a.0[axis] = W::Double::load(&found[axis]).store();
-            }
-        }
-    }
-}
-
 /// System: the pullback of [`kick`]: `∂L/∂F += dt/2 ∂L/∂v`.
 pub fn kick_pullback<const D: usize>(
-    mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>)>,
+    mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>), With<Identity>>,
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
@@ -294,7 +209,7 @@ pub fn kick_pullback<const D: usize>(
 
 /// System: the pullback of [`drift`]: `∂L/∂v += dt ∂L/∂r`.
 pub fn drift_pullback<const D: usize>(
-    mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>)>,
+    mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>), With<Identity>>,
     integrator: Res<Integrator>,
 ) {
     for (velocities, positions) in particles.contiguous_iter_mut().into_iter().flatten() {

@@ -1,8 +1,10 @@
 //! The watch: a run whose numbers have lost their meaning stops, and says which, whose, when and why.
 
-use super::acceleration::Law;
-use super::particles::{Acceleration, Density, Position, Velocity};
+use super::acceleration::Laws;
+use super::particles::{Acceleration, Density, Identity, Position, Velocity};
+use super::term::{Stage, Term};
 use super::verlet::{Clock, Integrator};
+use super::{Needs, Occasion, Phase};
 use crate::cells::FEWEST;
 use crate::error::Error;
 use bevy_ecs::prelude::*;
@@ -30,38 +32,58 @@ impl Default for Limits {
 #[derive(Resource, Debug, Default)]
 pub struct Failure(pub Option<Error>);
 
+/// Term: the limits of a flow.
+#[derive(Clone, Copy, Debug)]
+pub struct Watch;
+
+impl<const D: usize> Term<D> for Watch {
+    fn name(&self) -> String {
+        "watch".to_owned()
+    }
+
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        let stage = || Stage::constant(Phase::Watch, watch::<D>);
+        if occasion.has_judgement() { vec![stage()] } else { Vec::new() }
+    }
+}
+
+/// A particle as the watch sees it.
+type Watched<'a, const D: usize> =
+    (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Acceleration<D>, &'a Density);
+
 /// System: looks at every particle after every step.
 pub fn watch<const D: usize>(
-    particles: Query<(&Position<D>, &Velocity<D>, &Acceleration<D>, &Density)>,
-    (limits, integrator, clock, law): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Law<D>>),
+    particles: Query<Watched<'_, D>>,
+    (limits, integrator, clock, laws): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Laws<D>>),
     mut failure: ResMut<Failure>,
 ) {
     if failure.0.is_some() {
         return;
     }
     let mut look = Look::default();
-    for (r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
+    for (_, r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
         let rows = r.par_iter().zip(v).zip(a).zip(rho).with_min_len(FEWEST);
         let see = |look: Look, (((r, v), a), rho): (((&Position<D>, &Velocity<D>), &_), &_)| {
             look.see(r, v, a, rho)
         };
         look = look.and(&rows.fold(Look::default, see).reduce(Look::default, |a, b| a.and(&b)));
     }
-    let per_speed = integrator.dt / law.0.smoothing().h;
-    let fastest = look.fastest(|rho| law.0.sound_speed(rho)) * per_speed;
+    let per_speed = integrator.dt / laws.model().smoothing().h;
+    let fastest = look.fastest(|rho| laws.model().sound_speed(rho)) * per_speed;
     if look.finite && fastest <= limits.courant && 0.5 * look.square <= limits.energy {
         return;
     }
     // Something is broken, or a bound of it: look closer.
     let all = particles.contiguous_iter().into_iter().flatten();
-    let rows = all.flat_map(|(r, v, a, rho)| r.iter().zip(v).zip(a).zip(rho));
+    let rows = all.flat_map(|(id, r, v, a, rho)| id.iter().zip(r).zip(v).zip(a).zip(rho));
     let mut closer = CloserLook::default();
-    for (row, (((r, v), a), rho)) in rows.enumerate() {
+    for ((((id, r), v), a), rho) in rows {
+        let row = id.0 as usize;
         let finite = [r.0.is_finite(), v.0.is_finite(), rho.0.is_finite(), a.0.is_finite()];
         if let Some(rank) = finite.iter().position(|finite| !finite) {
             closer.see_broken(rank, row);
         }
-        closer.see(v.0.norm(), law.0.sound_speed(rho.0), row);
+        closer.see(v.0.norm(), laws.model().sound_speed(rho.0), row);
     }
     failure.0 = closer.verdict(*limits, per_speed).map(|(quantity, found, remedy)| {
         let time = clock.time_at(clock.step, integrator.dt);

@@ -11,7 +11,7 @@ use common::{
 use proptest::prelude::*;
 use whirls::Scene;
 use whirls::kernel::{KernelName, Smoothing};
-use whirls::models::{Medium, Parameters};
+use whirls::models::{FluidConstants, Medium};
 use whirls::pairs::Pair;
 use whirls::state;
 use whirls::statistics::{conservation, momentum, pair_torque};
@@ -73,8 +73,8 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     let state = shaken::<D>(&scene);
     let mut flow = started(&scene, &state);
     let smoothing = Smoothing::<KernelName, D>::of(kernel, scene.fluid.smoothing_length);
-    let medium = Medium { mass: flow.mass(), smoothing, parameters: scene.parameters() };
-    let [c, _, _, gamma, _] = medium.parameters.0;
+    let medium = Medium { mass: flow.mass(), smoothing, fluid: scene.fluid.constants() };
+    let FluidConstants { c, gamma, .. } = medium.fluid;
     let stress = |rho: f64| state::stress(state::tait(rho, c, gamma), rho);
     let densities = flow.densities();
     let mut sums = vec![Vector::<f64, D>::zero(); densities.len()];
@@ -202,8 +202,8 @@ fn viscosity_alone_only_takes_energy<const D: usize>() {
     assert!(last < 0.99 * first, "{last} after {first}: nothing was taken");
 }
 
-fn medium<const D: usize>(kernel: KernelName, h: f64, parameters: Parameters<f64>) -> Medium<D> {
-    Medium { mass: 0.1, smoothing: Smoothing::of(kernel, h), parameters }
+fn medium<const D: usize>(kernel: KernelName, h: f64, fluid: FluidConstants) -> Medium<D> {
+    Medium { mass: 0.1, smoothing: Smoothing::of(kernel, h), fluid }
 }
 
 proptest! {
@@ -218,7 +218,7 @@ proptest! {
         h in 0.01..3.0_f64,
     ) {
         let pair = Pair { r2: q * q * h * h, approach, rho_i, rho_j };
-        let parameters = Parameters([c, alpha, beta, 7.0, 0.0]);
+        let fluid = FluidConstants { c, alpha, beta, gamma: 7.0, p0: 0.0 };
         let power = |power: f64| {
             if approach < 0.0 && alpha * c > 0.0 {
                 prop_assert!(power < 0.0, "power {power}");
@@ -229,15 +229,15 @@ proptest! {
         };
         // v·f = s v·r of the viscous part alone, which is the force at zero stress.
         for kernel in KERNELS {
-            power(approach * medium::<2>(kernel, h, parameters).strength(&pair, 0.0))?;
-            power(approach * medium::<3>(kernel, h, parameters).strength(&pair, 0.0))?;
+            power(approach * medium::<2>(kernel, h, fluid).strength(&pair, 0.0))?;
+            power(approach * medium::<3>(kernel, h, fluid).strength(&pair, 0.0))?;
         }
     }
 
     #[test]
     fn a_receding_pair_feels_no_viscosity(approach in 0.0..10.0_f64, q in 0.0..2.0_f64) {
-        let parameters = Parameters([10.0, 1.0, 2.0, 7.0, 0.0]);
-        let medium = medium::<3>(KernelName::CubicSpline, 1.0, parameters);
+        let fluid = FluidConstants { c: 10.0, alpha: 1.0, beta: 2.0, gamma: 7.0, p0: 0.0 };
+        let medium = medium::<3>(KernelName::CubicSpline, 1.0, fluid);
         let pair = Pair { r2: q * q, approach, rho_i: 1.0, rho_j: 1.0 };
         prop_assert_eq!(medium.strength(&pair, 0.0).abs().to_bits(), 0);
     }

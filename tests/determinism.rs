@@ -7,7 +7,7 @@ mod common;
 use common::{FORCINGS, in_2d_and_3d, shaken};
 use whirls::flow::State;
 use whirls::learn::{Evaluation, Learner};
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::scene::{Learn, Weights};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
@@ -67,7 +67,7 @@ fn evaluation<const D: usize>(scene: &Scene) -> Evaluation {
     let observations = truth.observations(scene, &learn).unwrap();
     let mut learner = Learner::new(scene, truth.states[0].clone(), observations).unwrap();
     let guess: Vec<f64> =
-        learn.parameters.iter().map(|&p| 1.1 * scene.parameters().get(p)).collect();
+        learn.parameters.iter().map(|p| 1.1 * common::true_value(scene, p)).collect();
     learner.evaluate(&guess, learn.frames).unwrap()
 }
 
@@ -76,7 +76,7 @@ fn any_number_of_threads_finds_the_same_gradient<const D: usize>() {
     scene.forcing = FORCINGS[1].1.clone();
     scene.time.step = Step::KickDriftKick;
     scene.learn = Some(Learn {
-        parameters: Parameter::ALL.to_vec(),
+        parameters: Parameter::PHYSICAL.to_vec(),
         loss: Weights { trajectory: 1.0, field: 1.0, kl: 1.0 },
         frames: 4,
         windows: Vec::new(),
@@ -150,7 +150,7 @@ fn a_reset_flow_with_other_parameters_forgets_the_old_ones<const D: usize>() {
     stiff.time.dt = Some(scene.dt());
     let mut used = common::started(&scene, &start);
     used.step().unwrap();
-    used.set_parameters(stiff.parameters());
+    used.set_learned(&[Parameter::C, Parameter::GAMMA], &[8.0, 5.0]).unwrap();
     used.reset(&start);
     used.step().unwrap();
     let mut new = common::started(&stiff, &start);

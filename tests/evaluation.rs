@@ -9,7 +9,7 @@ use place::Place;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use whirls::evaluation::{Candidate, Evaluation, Marks, Plan, Source, evaluate};
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::recording::{Flow, TrainStep};
 use whirls::report::{Cell, Report};
 use whirls::run::{Lesson, Reproduction, Stage, Study, Training, truth_from_recording};
@@ -42,7 +42,7 @@ fn candidate(scene: Scene, values: impl Fn(&[Parameter]) -> Vec<f64>) -> Candida
 
 fn true_values(scene: &Scene) -> impl Fn(&[Parameter]) -> Vec<f64> {
     let truth = scene.parameters();
-    move |parameters| parameters.iter().map(|&p| truth.get(p)).collect()
+    move |parameters| parameters.iter().filter_map(|p| truth.get(p)).collect()
 }
 
 fn plan() -> Plan {

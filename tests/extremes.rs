@@ -441,7 +441,7 @@ fn learn_with_weights<const D: usize>(
     }
     // Forward alone first: what it hands out is finite.
     let mut flow = Flow::<D>::build(&scene, &truth.states[0], None, None).unwrap();
-    flow.set_learned(learner.columns(), &weights);
+    flow.set_learned(learner.columns(), &weights).unwrap();
     let alone = flow.start().and_then(|()| flow.step()).and_then(|()| flow.step());
     if alone.is_ok() {
         let State { positions, velocities, .. } = flow.state();

@@ -9,7 +9,7 @@ use common::{FORCINGS, in_2d_and_3d, shaken};
 use whirls::flow::Differentiation;
 use whirls::learn::{Evaluation, Learner};
 use whirls::losses::SquareSum;
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::scalar::{Lanes, WIDTH};
 use whirls::scene::{Forcing, Learn, Weights};
 use whirls::sensitivity::Coupling;
@@ -43,7 +43,7 @@ fn scene<const D: usize>(step: Step, forcing: &Forcing, loss: Weights) -> Scene 
     }
     scene.time.step = step;
     scene.forcing = forcing.clone();
-    let mut parameters = Parameter::ALL.to_vec();
+    let mut parameters = Parameter::PHYSICAL.to_vec();
     if !matches!(forcing, Forcing::Deterministic { .. }) {
         parameters.pop();
     }
@@ -73,11 +73,16 @@ fn learner<const D: usize>(scene: &Scene) -> Learner<D> {
     Learner::new(scene, truth.states[0].clone(), observations).unwrap()
 }
 
+/// The place of a parameter in [`Parameter::PHYSICAL`].
+fn index(parameter: &Parameter) -> usize {
+    Parameter::PHYSICAL.iter().position(|p| p == parameter).unwrap()
+}
+
 /// A guess a few per cent away from the truth: the loss is far from its minimum there.
 fn guess(scene: &Scene) -> Vec<f64> {
     let factors = [1.06, 0.9, 1.15, 0.93, 1.2];
     let learned = scene.learn.as_ref().unwrap().parameters.iter();
-    learned.map(|&p| scene.parameters().get(p) * factors[p.index()]).collect()
+    learned.map(|p| common::true_value(scene, p) * factors[index(p)]).collect()
 }
 
 /// The slope of the loss along `direction` from central differences, with the step at which it is
@@ -150,7 +155,8 @@ fn the_normal_matrix_is_that_of_the_gradients<const D: usize>() {
     for loss in [TRAJECTORY, FIELD] {
         let scene = scene::<D>(Step::KickDriftKick, &FORCINGS[2].1, loss);
         let mut learner = learner::<D>(&scene);
-        let at: Vec<f64> = learner.columns().iter().map(|&p| scene.parameters().get(p)).collect();
+        let at: Vec<f64> =
+            learner.columns().iter().map(|p| common::true_value(&scene, p)).collect();
         let exact = learner.evaluate(&at, FRAMES).unwrap();
         let count = at.len();
         for k in 0..count {
@@ -189,33 +195,30 @@ fn a_direction_has_the_slope_of_its_components<const D: usize>() {
 }
 
 fn the_order_of_the_parameters_does_not_matter<const D: usize>() {
-    use Parameter::{Alpha, Beta, C, Gamma, Theta};
+    let [c, alpha, beta, gamma, theta] = Parameter::PHYSICAL;
+    let of = |all: &[&Parameter]| all.iter().map(|&p| p.clone()).collect::<Vec<_>>();
     let all = scene::<D>(Step::KickDriftKick, &FORCINGS[1].1, FIELD);
     let truth = learner::<D>(&all).evaluate(&guess(&all), FRAMES).unwrap();
-    let orders: [&[Parameter]; 6] = [
-        &[Theta, Gamma, Beta, Alpha, C],
-        &[Beta, C, Theta, Alpha, Gamma],
-        &[Gamma],
-        &[Theta, C],
-        &[Alpha, Beta],
-        &[C, Gamma, Theta],
+    let orders = [
+        of(&[&theta, &gamma, &beta, &alpha, &c]),
+        of(&[&beta, &c, &theta, &alpha, &gamma]),
+        of(&[&gamma]),
+        of(&[&theta, &c]),
+        of(&[&alpha, &beta]),
+        of(&[&c, &gamma, &theta]),
     ];
     for order in orders {
         let mut scene = all.clone();
-        scene.learn = Some(Learn { loss: FIELD, ..learn(order.to_vec()) });
+        scene.learn = Some(Learn { loss: FIELD, ..learn(order.clone()) });
         let mut learner = learner::<D>(&scene);
         // The parameters that are not learned are where `truth` has them.
-        let mut parameters = all.parameters();
-        for (&p, x) in Parameter::ALL.iter().zip(guess(&all)) {
-            parameters.set(p, x);
-        }
-        let found = with_fixed(&mut learner, &scene, parameters);
+        let found = with_fixed(&mut learner, &scene, &guess(&all));
         assert_eq!(found.loss.to_bits(), truth.loss.to_bits(), "{order:?}");
-        for (k, &p) in order.iter().enumerate() {
+        for (k, p) in order.iter().enumerate() {
             // The same operations in another lane: the same bits.
             assert_eq!(
                 found.gradient[k].to_bits(),
-                truth.gradient[p.index()].to_bits(),
+                truth.gradient[index(p)].to_bits(),
                 "{order:?}"
             );
         }
@@ -226,21 +229,21 @@ fn the_order_of_the_parameters_does_not_matter<const D: usize>() {
 fn with_fixed<const D: usize>(
     learner: &mut Learner<D>,
     scene: &Scene,
-    parameters: whirls::models::Parameters<f64>,
+    physical: &[f64],
 ) -> Evaluation {
     let flow = learner.flow_mut();
-    flow.set_parameters(parameters);
+    flow.set_learned(&Parameter::PHYSICAL, physical).unwrap();
     flow.reset(&shaken(scene));
     (0..FRAMES).for_each(|_| flow.step().unwrap());
     let (loss, count) = (flow.loss(), flow.columns().len());
     Evaluation {
         parameters: Vec::new(),
         loss: loss.value(),
-        trajectory: loss.trajectory.value,
-        field: loss.field.value,
-        kl: loss.kl.value,
-        gradient: loss.field.gradient(count),
-        normal: loss.field.normal(count),
+        trajectory: loss.value_of("trajectory"),
+        field: loss.value_of("field"),
+        kl: loss.value_of("kl"),
+        gradient: loss.gradient(count),
+        normal: loss.normal(count),
     }
 }
 
@@ -299,7 +302,7 @@ fn a_flow_that_learns_nothing_carries_no_sensitivities<const D: usize>() {
     let blocks = world.query::<&BlockOf>().iter(world).count();
     assert_eq!(blocks, 0);
 
-    let parameters = vec![Parameter::C, Parameter::Theta];
+    let parameters = vec![Parameter::C, Parameter::THETA];
     let by = Differentiation { parameters, coupling: Coupling::Full };
     let mut learning = Flow::<D>::build(&scene, &state, Some(&by), None).unwrap();
     learning.step().unwrap();

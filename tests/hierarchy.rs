@@ -9,6 +9,7 @@ use common::{in_2d_and_3d, largest};
 use whirls::flow::{Differentiation, Flow};
 use whirls::learn::Learner;
 use whirls::models::ModelChoice;
+use whirls::parameters::Parameter;
 use whirls::scene::Scene;
 use whirls::sensitivity::{Coupling, Gradient, Storage};
 use whirls::systems::particles::AccelerationSensitivity;
@@ -224,7 +225,11 @@ fn central_antisymmetric_models_exert_no_torque_and_the_others_say_how_much() {
         let weights: Vec<f64> = (0..flow.weights().len()).map(|k| (1.3 * k as f64).sin()).collect();
         flow.set_weights(&weights);
         // No forcing: only the model's own forces act.
-        flow.set_parameters(whirls::models::Parameters([10.0, 1.0, 2.0, 7.0, 0.0]));
+        let names = [Parameter::C, Parameter::ALPHA, Parameter::BETA, Parameter::GAMMA];
+        flow.set_learned(&names, &[10.0, 1.0, 2.0, 7.0]).unwrap();
+        if flow.parameters().place(&Parameter::THETA).is_some() {
+            flow.set_learned(&[Parameter::THETA], &[0.0]).unwrap();
+        }
         flow.start().unwrap();
         let mut torque = glam::DVec3::ZERO;
         let mut size = 0.0;

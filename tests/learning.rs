@@ -30,7 +30,7 @@ fn learn(scene: &Scene) -> Result<(Outcome, Flow<3>, Truth<3>)> {
     let guess = learner.guess(scene.seed);
     let outcome = learner.run(guess, &mut |_| Ok(()))?;
     let mut flow = Flow::build(scene, &truth.states[0], None, None)?;
-    flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
+    flow.set_learned(learner.columns(), &outcome.evaluation.parameters).unwrap();
     Ok((outcome, flow, truth))
 }
 
@@ -49,7 +49,7 @@ fn every_network_model_learns_field_and_statistics_from_random_weights() {
 fn the_equation_of_state_is_learned_within_one_per_cent() {
     let scene = small("eos-nn-3d", &["learn.iterations=40", "learn.model.height=6"]);
     let (outcome, flow, truth) = learn(&scene).unwrap();
-    let error = pressure_error(&flow, &scene.parameters(), truth.densities_seen());
+    let error = pressure_error(&flow, &scene.fluid.constants(), truth.densities_seen());
     println!("loss {:.1e}, pressure within {:.3} %", outcome.evaluation.loss, 100.0 * error);
     assert!(outcome.evaluation.loss < 1e-8, "{}", outcome.evaluation.loss);
     assert!(error < 0.01, "{error}");

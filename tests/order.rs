@@ -7,7 +7,7 @@ mod common;
 use bevy_ecs::prelude::*;
 use common::{FORCINGS, shaken};
 use whirls::flow::{Differentiation, State};
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::scene::{Forcing, SHIPPED, Shipped};
 use whirls::sensitivity::Coupling;
 use whirls::systems::Phase;
@@ -28,7 +28,7 @@ fn small<const D: usize>(name: &str) -> Scene {
 /// The flow of a scene, with sensitivities, observations, both or neither.
 fn flow<const D: usize>(scene: &Scene, (differentiate, observe): (bool, bool)) -> Flow<D> {
     let state = shaken::<D>(scene);
-    let parameters = vec![Parameter::C, Parameter::Alpha];
+    let parameters = vec![Parameter::C, Parameter::ALPHA];
     let by = Differentiation { parameters, coupling: Coupling::Full };
     let observations = observe.then(|| {
         let mut truth = Truth::default();

@@ -14,7 +14,7 @@ use std::process::Command;
 use whirls::Scene;
 use whirls::flow::State;
 use whirls::learn::Learner;
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::recording::Recording;
 use whirls::run::truth_from_recording;
 use whirls::truth::Truth;
@@ -26,7 +26,7 @@ fn scene() -> Scene {
     let mut scene = Scene::shipped("inverse-2d").unwrap();
     let learn = scene.learn.as_mut().unwrap();
     (learn.after, learn.frames) = (0, FRAMES);
-    learn.parameters = Parameter::ALL.to_vec();
+    learn.parameters = Parameter::PHYSICAL.to_vec();
     scene
 }
 
@@ -126,8 +126,8 @@ fn the_parameters_that_made_the_published_flow_are_learned_from_it() {
     let outcome = learner.run(guess.clone(), &mut |_| Ok(())).unwrap();
     let known = scene.parameters();
     println!("loss {:.1e}, {} iterations", outcome.evaluation.loss, outcome.iterations);
-    for (k, &p) in learn.parameters.iter().enumerate() {
-        let (found, known) = (outcome.evaluation.parameters[k], known.get(p));
+    for (k, p) in learn.parameters.iter().enumerate() {
+        let (found, known) = (outcome.evaluation.parameters[k], known.get(p).unwrap());
         println!(
             "  {:6} from {:.3}: {found:.12}, published {known}, off by {:.1e}",
             p.name(),

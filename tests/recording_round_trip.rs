@@ -140,6 +140,8 @@ fn every_value_read_back_is_the_value_written() {
         momentum_pressure: AWKWARD.to_vec(),
         momentum_viscosity: AWKWARD.to_vec(),
         momentum_forcing: AWKWARD.to_vec(),
+        terms: vec!["a term".to_owned(), String::new()],
+        momentum_terms: AWKWARD.to_vec(),
         courant: x,
     };
     let mut recorder = Recorder::create(&path, &run(3)).unwrap();

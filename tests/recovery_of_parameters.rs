@@ -5,6 +5,7 @@
 
 use whirls::Scene;
 use whirls::learn::{Learner, Outcome};
+use whirls::parameters::Parameter;
 use whirls::truth::Truth;
 
 /// A search from the guess of a seed: how it ended, and the largest error of a parameter.
@@ -13,7 +14,8 @@ fn search<const D: usize>(scene: &Scene, learner: &mut Learner<D>, seed: u64) ->
     assert!(guess.iter().all(|x| (0.0..1.0).contains(x)), "{guess:?}");
     let outcome = learner.run(guess, &mut |_| Ok(())).unwrap();
     let found = outcome.evaluation.parameters.iter();
-    let error = |(&p, x): (&whirls::models::Parameter, &f64)| (x - scene.parameters().get(p)).abs();
+    let known = scene.parameters();
+    let error = |(p, x): (&Parameter, &f64)| (x - known.get(p).unwrap()).abs();
     let worst = learner.columns().iter().zip(found).map(error).fold(0.0, f64::max);
     (outcome, worst)
 }

@@ -6,7 +6,7 @@
 mod common;
 
 use whirls::forcing::Power;
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::scene::{
     Forcing, Increments, KernelName, Optimiser, SHIPPED, Shipped, Speed, SpinUp, Times,
 };
@@ -301,7 +301,7 @@ fn overrides_reach_every_level_and_make_tables_that_are_missing() {
     let numbers = [scene.fluid.alpha, scene.dt(), scene.limits.courant, learn.guess["c"]];
     assert_eq!(numbers.map(f64::to_bits), [2.0, 0.001, 0.7, 9.5_f64].map(f64::to_bits));
     assert_eq!(scene.forcing, Forcing::Deterministic { theta: 0.5, power: Power::Exact });
-    assert_eq!(learn.parameters, [Parameter::Gamma, Parameter::C]);
+    assert_eq!(learn.parameters, [Parameter::GAMMA, Parameter::C]);
     assert_eq!((learn.windows, learn.loss.trajectory.to_bits()), (vec![2, 4], 0.25_f64.to_bits()));
     assert_eq!(learn.optimiser, Optimiser::Adam { rate: 0.05, decay: 0.1 });
     assert_eq!(

@@ -6,6 +6,7 @@ mod common;
 
 use common::{FORCINGS, in_2d_and_3d, shaken, started};
 use whirls::flow::State;
+use whirls::parameters::Parameter;
 use whirls::scene::Forcing;
 use whirls::systems::neighbours::Neighbours;
 use whirls::systems::particles::{Cloud, Identity, Velocity};
@@ -125,9 +126,7 @@ fn a_courant_number_beyond_the_limit_is_refused<const D: usize>() {
     let mut scene = self::scene::<D>();
     scene.initial.velocity = 0.1;
     let mut flow = started(&scene, &State::<D>::initial(&scene));
-    let mut parameters = scene.parameters();
-    parameters.0[0] *= 4.0;
-    flow.set_parameters(parameters);
+    flow.set_learned(&[Parameter::C], &[4.0 * scene.fluid.c]).unwrap();
     let text = failure(&mut flow, 1).to_string();
     assert!(text.contains("Courant number"), "{text}");
     // A fast particle counts, and is named.

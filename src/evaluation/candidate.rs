@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
 use crate::learn::columns;
-use crate::models::Parameter;
+use crate::parameters::Parameter;
 use crate::recording::{Recording, TrainStep};
 use crate::scene::{Forcing, Learn, Scene};
 use crate::systems::loss::Observations;
@@ -119,13 +119,13 @@ impl Candidate {
         let mut flow = Flow::build(&scene, state, None, observations)?;
         let stirred_alike = self.scene.forcing == truth.forcing;
         let (mut parameters, mut values) = (Vec::new(), Vec::new());
-        for (&parameter, &value) in self.parameters.iter().zip(&self.values) {
-            if parameter != Parameter::Theta || stirred_alike {
-                parameters.push(parameter);
+        for (parameter, &value) in self.parameters.iter().zip(&self.values) {
+            if *parameter != Parameter::THETA || stirred_alike {
+                parameters.push(parameter.clone());
                 values.push(value);
             }
         }
-        flow.set_learned(&parameters, &values);
+        flow.set_learned(&parameters, &values)?;
         Ok(flow)
     }
 

@@ -140,7 +140,8 @@ impl Errors {
     ) {
         let loss = flow.loss();
         // The field loss is a mean over frames.
-        let now = [loss.trajectory.value, loss.field.value * frames as f64, loss.kl.value];
+        let field = loss.value_of("field") * frames as f64;
+        let now = [loss.value_of("trajectory"), field, loss.value_of("kl")];
         let grown = |k: usize| if failed { f64::NAN } else { now[k] - before[k] };
         self.trajectory.push(grown(0));
         self.field.push(grown(1));

@@ -26,7 +26,7 @@ pub use tables::Summary;
 
 use crate::error::{Error, Result};
 use crate::flow::State;
-use crate::models::{ModelChoice, Parameters};
+use crate::models::{FluidConstants, ModelChoice};
 use crate::scene::{Forcing, Learn, Scene, Times};
 use crate::state::tait;
 use crate::systems::loss::Observations;
@@ -332,8 +332,7 @@ impl<const D: usize> Evaluation<D> {
         self.seen = (low, high);
         self.densities =
             (0..=120).map(|k| low - wide + 3.0 * wide * f64::from(k) / 120.0).collect();
-        let of: Parameters<f64> = self.scene.parameters();
-        let [c, _, _, gamma, _] = of.0;
+        let FluidConstants { c, gamma, .. } = self.scene.fluid.constants();
         self.tait = known.then(|| self.densities.iter().map(|&rho| tait(rho, c, gamma)).collect());
         for candidate in &self.candidates {
             let flow = candidate.flow(&self.scene, &truth.states[0], None)?;

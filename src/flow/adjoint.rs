@@ -2,6 +2,7 @@
 
 use super::{Flow, State, in_pool};
 use crate::error::Result;
+use crate::systems::columns::{Column, Kept};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
@@ -15,12 +16,13 @@ use bevy_ecs::prelude::*;
 
 /// Everything from which a flow goes on with the same bits: the state, the force that is carried,
 /// and the positions that the neighbour lists were built from.
-#[derive(Clone, Debug)]
 pub struct Snapshot<const D: usize> {
     clock: Clock,
     state: State<D>,
     accelerations: Vec<Vector<f64, D>>,
     reference: Vec<Vector<f64, D>>,
+    /// Columns of terms, in order.
+    columns: Vec<Kept>,
 }
 
 impl<const D: usize> Snapshot<D> {
@@ -36,7 +38,10 @@ impl<const D: usize> Snapshot<D> {
 impl<const D: usize> Flow<D> {
     /// The state of a started flow, to come back to.
     pub fn snapshot(&mut self) -> Snapshot<D> {
+        let columns: Vec<Column> = self.terms.iter().flat_map(|term| term.columns()).collect();
+        let columns = columns.iter().map(|column| column.keep(&mut self.world)).collect();
         Snapshot {
+            columns,
             clock: *self.world.resource::<Clock>(),
             state: self.state(),
             accelerations: self.accelerations(),
@@ -54,6 +59,10 @@ impl<const D: usize> Flow<D> {
             r.0 = snapshot.state.positions[id.0 as usize];
             v.0 = snapshot.state.velocities[id.0 as usize];
             a.0 = snapshot.accelerations[id.0 as usize];
+        }
+        let columns = self.terms.iter().flat_map(|term| term.columns());
+        for (column, kept) in columns.zip(&snapshot.columns) {
+            column.restore(world, kept);
         }
         world.insert_resource(snapshot.clock);
         world.resource_scope(|world, mut cloud: Mut<'_, Cloud<D>>| {
@@ -110,8 +119,7 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights, gathered on the way back; see
-    /// [`crate::models::Parameter::index`].
+    /// `∂L/∂` of every parameter, gathered on the way back, in the order of [`Flow::parameters`].
     pub fn adjoint_gradient(&self) -> Vec<f64> {
         let adjoint = self.world.get_resource::<AdjointCloud<D>>();
         adjoint.map(|adjoint| adjoint.parameters.clone()).unwrap_or_default()

@@ -1,22 +1,28 @@
-//! From a scene to a World: resources, particles, sensitivity blocks.
+//! From a scene to a World: terms, resources, particles, sensitivity blocks.
 
 use super::{Differentiation, State};
-use crate::models::Parameter;
+use crate::error::{Error, Result};
+use crate::models::Model;
 use crate::packed::PackedSensitivity;
+use crate::parameters::Parameters;
 use crate::scalar::{Lanes, WIDTH};
-use crate::scene::{Forcing, Scene};
+use crate::scene::Scene;
 use crate::space::PeriodicBox;
-use crate::systems::Stirring;
-use crate::systems::forcing::{DeterministicForcing, StochasticForcing};
-use crate::systems::neighbours::Neighbours;
+use crate::systems::acceleration::{Laws, PairForces, PairTerm};
+use crate::systems::density::DensitySummation;
+use crate::systems::forcing;
+use crate::systems::loss::{LossTerm, Losses};
+use crate::systems::neighbours::{NeighbourSearch, Neighbours};
+use crate::systems::packing::Packing;
 use crate::systems::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    Density, Identity, Position, PositionAdjoint, PositionSensitivity, Rooms, SensitivityBlock,
+    Density, Identity, Particles, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
     SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
 use crate::systems::tape::Tape;
-use crate::systems::verlet::{Clock, Integrator};
-use crate::systems::watch::Failure;
+use crate::systems::term::Term;
+use crate::systems::verlet::{Clock, Integrator, KickAndDrift};
+use crate::systems::watch::{Failure, Watch};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 
@@ -24,18 +30,55 @@ pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
     Vector([Lanes::ZERO; D])
 }
 
-pub(super) fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
-    match scene.forcing {
-        Forcing::None => Stirring::None,
-        Forcing::Deterministic { power, .. } => {
-            world.insert_resource(DeterministicForcing::new(power));
-            Stirring::Deterministic
-        }
-        Forcing::Stochastic { interval, strength } => {
-            world.insert_resource(StochasticForcing::new(scene.seed, interval, strength));
-            Stirring::Stochastic
-        }
+/// The pair laws of a scene: its model, and those added to it.
+pub(super) fn laws_of<const D: usize>(scene: &Scene, model: Box<dyn Model<D>>) -> Laws<D> {
+    let added = scene.added_models(model.medium()).into_iter();
+    let added = added.map(|(name, model)| PairTerm::new(name, model)).collect();
+    Laws { model: PairTerm::new(model.name().to_owned(), model), added }
+}
+
+/// The terms of a scene with these laws and losses, in the order in which those of one phase run.
+pub(super) fn terms_of<const D: usize>(
+    scene: &Scene,
+    laws: &Laws<D>,
+    losses: Option<&Losses<D>>,
+) -> Result<Vec<Box<dyn Term<D>>>> {
+    let mut terms: Vec<Box<dyn Term<D>>> = vec![
+        Box::new(NeighbourSearch),
+        Box::new(Packing),
+        Box::new(KickAndDrift),
+        Box::new(DensitySummation),
+    ];
+    for (number, law) in laws.all().enumerate() {
+        let (name, specs) = (law.name.clone(), law.specs());
+        terms.push(Box::new(PairForces { law: number, name, specs }));
     }
+    terms.extend(forcing::terms(scene));
+    terms.extend(scene.added_terms()?);
+    let losses = losses.into_iter().flat_map(|losses| &losses.0).enumerate();
+    terms.extend(losses.map(|(number, loss)| {
+        let term: Box<dyn Term<D>> = Box::new(LossTerm { number, name: loss.name() });
+        term
+    }));
+    terms.push(Box::new(Watch));
+    Ok(terms)
+}
+
+/// All parameters of some terms, and the places of each term's own.
+///
+/// # Errors
+/// [`Error::Input`] where two terms have one name, or disagree on a parameter.
+pub(super) fn parameters_of<const D: usize>(
+    terms: &[Box<dyn Term<D>>],
+) -> Result<(Parameters, Vec<Vec<usize>>)> {
+    let names: Vec<String> = terms.iter().map(|term| term.name()).collect();
+    let twice = (0..names.len()).find(|&k| names[..k].contains(&names[k]));
+    if let Some(twice) = twice {
+        let remedy = "give one of the two another name";
+        return Err(Error::input("the terms", "a name for each", &names[twice], remedy));
+    }
+    let specs: Vec<_> = terms.iter().map(|term| term.parameters()).collect();
+    Parameters::merged(&specs)
 }
 
 pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
@@ -45,9 +88,21 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Clock::default());
     world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
     world.insert_resource(Cloud::<D> { precision: scene.precision, ..Cloud::default() });
-    world.insert_resource(Rooms::default());
     world.insert_resource(scene.limits);
     world.insert_resource(Failure::default());
+}
+
+/// Tells pair laws where their parameters stand in the flat vector.
+pub(super) fn place_laws<const D: usize>(
+    laws: &mut Laws<D>,
+    terms: &[Box<dyn Term<D>>],
+    places: &[Vec<usize>],
+) {
+    for law in laws.all_mut() {
+        let own = terms.iter().zip(places).find(|(term, _)| term.name() == law.name);
+        let Some((_, own)) = own else { continue };
+        law.places.clone_from(own);
+    }
 }
 
 /// Particles, with the columns of an adjoint where one is run: all at once, since whoever moves to another
@@ -68,14 +123,15 @@ pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D
     } else {
         world.spawn_batch(rows.map(particle).collect::<Vec<_>>());
     }
+    world.insert_resource(Particles(state.positions.len()));
     world.resource_mut::<Clock>().start = state.time;
 }
 
 pub(super) fn spawn_sensitivities<const D: usize>(
     world: &mut World,
     count: usize,
-    differentiation: &Differentiation,
-) {
+    (differentiation, parameters): (&Differentiation, &Parameters),
+) -> Result<()> {
     let blocks = differentiation.parameters.len().div_ceil(WIDTH);
     let mut cloud = SensitivityCloud::<D> {
         blocks: Vec::new(),
@@ -91,25 +147,29 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
         (of, moving, AccelerationSensitivity(zero))
     }));
-    for block in 0..blocks {
-        let mut directions = [Lanes::ZERO; Parameter::COUNT];
-        let mut weights = Vec::new();
-        let learned = differentiation.parameters.iter().skip(block * WIDTH).take(WIDTH);
-        for (lane, &parameter) in learned.enumerate() {
-            match parameter {
-                Parameter::Weight(place) => weights.push((lane, place as usize)),
-                physical => directions[physical.index()] = Lanes::unit(lane),
-            }
-        }
-        cloud.blocks.push(SensitivityBlock {
+    let place = |name| parameters.place(name).ok_or_else(|| parameters.unknown(name));
+    let places: Vec<usize> = differentiation.parameters.iter().map(place).collect::<Result<_>>()?;
+    for own in places.chunks(WIDTH) {
+        let mut block = SensitivityBlock {
             packed: vec![PackedSensitivity::ZERO; count],
             density: vec![Lanes::ZERO; count],
             acceleration: vec![no_change(); count],
-            directions,
-            weights,
-        });
+            columns: own.iter().copied().enumerate().collect(),
+            directions: Vec::new(),
+            weights: Vec::new(),
+        };
+        for law in world.resource::<Laws<D>>().all() {
+            let directions = law.scalars().iter().map(|&place| block.direction(place));
+            block.directions.push(directions.collect());
+            let of_law = |&(lane, place): &(usize, usize)| {
+                law.weights().iter().position(|own| *own == place).map(|weight| (lane, weight))
+            };
+            block.weights.push(block.columns.iter().filter_map(of_law).collect());
+        }
+        cloud.blocks.push(block);
     }
     world.insert_resource(cloud);
+    Ok(())
 }
 
 pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {

@@ -1,27 +1,59 @@
-//! The law of a flow: which model, with which parameters.
+//! The parameters of a flow, and the model that moves its particles.
 
 use super::{Flow, Stream, stream};
-use crate::models::{Model, Parameter, Parameters};
-use crate::systems::acceleration::Law;
+use crate::error::Result;
+use crate::models::Model;
+use crate::parameters::{Parameter, Parameters};
+use crate::systems::acceleration::Laws;
+use crate::systems::term::Term;
 
 impl<const D: usize> Flow<D> {
     /// The model that moves the particles.
     pub fn model(&self) -> &dyn Model<D> {
-        &*self.world.resource::<Law<D>>().0
+        self.world.resource::<Laws<D>>().model()
     }
 
-    fn model_mut(&mut self) -> &mut dyn Model<D> {
-        &mut *self.world.resource_mut::<Law<D>>().into_inner().0
+    /// The terms of the flow, in the order in which those of one phase run.
+    pub fn terms(&self) -> impl Iterator<Item = &dyn Term<D>> {
+        self.terms.iter().map(|term| &**term)
     }
 
-    /// The physical parameters in force.
-    pub fn parameters(&self) -> Parameters<f64> {
-        *self.model().parameters()
+    /// All parameters with the values in force, as one flat vector with names.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
-    /// Puts other physical parameters in force, from the next force evaluation on.
-    pub fn set_parameters(&mut self, parameters: Parameters<f64>) {
-        self.model_mut().set_parameters(parameters);
+    /// Puts the values of some parameters in force, from the next force evaluation on, and leaves the others as they
+    /// are.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a parameter that no term has.
+    pub fn set_learned(&mut self, parameters: &[Parameter], values: &[f64]) -> Result<()> {
+        let places = self.places(parameters)?;
+        self.set_at(&places, values);
+        Ok(())
+    }
+
+    /// Where parameters stand in the flat vector.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for a parameter that no term has.
+    pub fn places(&self, parameters: &[Parameter]) -> Result<Vec<usize>> {
+        let place = |name| self.parameters.place(name);
+        let found = |name| place(name).ok_or_else(|| self.parameters.unknown(name));
+        parameters.iter().map(found).collect()
+    }
+
+    /// Puts values at places of the flat vector in force.
+    pub(crate) fn set_at(&mut self, places: &[usize], values: &[f64]) {
+        for (&place, &value) in places.iter().zip(values) {
+            self.parameters.set_at(place, value);
+        }
+        let all: Vec<f64> = self.parameters.values().collect();
+        for (term, places) in self.terms.iter().zip(&self.term_places) {
+            let own: Vec<f64> = places.iter().map(|&place| all[place]).collect();
+            term.set_parameters(&own, &mut self.world);
+        }
     }
 
     /// The weights of the model's network, none where it has no network.
@@ -29,12 +61,10 @@ impl<const D: usize> Flow<D> {
         self.model().network().map(|network| network.weights.clone()).unwrap_or_default()
     }
 
-    /// Puts other weights in force, from the next force evaluation on; as many as
-    /// [`Flow::weights`] gives.
+    /// Puts other weights in force, from the next force evaluation on; as many as [`Flow::weights`] gives.
     pub fn set_weights(&mut self, weights: &[f64]) {
-        if let Some(network) = self.model_mut().network_mut() {
-            network.weights.copy_from_slice(weights);
-        }
+        let places = self.world.resource::<Laws<D>>().model.weights().to_vec();
+        self.set_at(&places, weights);
     }
 
     /// The weights that a seed draws for the model's network.
@@ -42,18 +72,5 @@ impl<const D: usize> Flow<D> {
         let mut generator = stream(seed, Stream::Weights);
         let network = self.model().network();
         network.map(|network| network.shape.initial(&mut generator)).unwrap_or_default()
-    }
-
-    /// Puts the values of some parameters in force, and leaves the others as they are.
-    pub fn set_learned(&mut self, parameters: &[Parameter], values: &[f64]) {
-        let (mut physical, mut weights) = (self.parameters(), self.weights());
-        for (&parameter, &value) in parameters.iter().zip(values) {
-            match parameter {
-                Parameter::Weight(place) => weights[place as usize] = value,
-                _ => physical.set(parameter, value),
-            }
-        }
-        self.set_parameters(physical);
-        self.set_weights(&weights);
     }
 }

@@ -1,7 +1,6 @@
 //! What a flow can be asked: where it stands, what its particles do, what it holds.
 
 use super::{Flow, State};
-use crate::models::Room;
 use crate::scalar::{Lanes, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
@@ -94,13 +93,13 @@ impl<const D: usize> Flow<D> {
     /// The pressure `P = A ρ²` that the model gives to a density; zero where it knows none.
     pub fn pressure(&self, rho: f64) -> f64 {
         let model = self.model();
-        let mut room = Room::new(model.network());
+        let mut room = model.room();
         model.stress(Lanes::of(rho), &mut room).lane(0) * rho * rho
     }
 
-    /// `Σ m a` per system at the last force evaluation.
+    /// `Σ m a` of each term at the last force evaluation.
     pub fn momentum_rates(&self) -> MomentumRates<D> {
-        statistics::momentum_rates(&self.world)
+        statistics::momentum_rates(self)
     }
 
     /// Mean number of neighbours within the support.

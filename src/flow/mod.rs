@@ -2,6 +2,7 @@
 
 mod adjoint;
 mod build;
+mod census;
 mod held;
 mod law;
 mod measure;
@@ -13,24 +14,27 @@ pub(crate) use measure::Rows;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
-use crate::models::{Medium, Model, ModelChoice, Parameter};
+use crate::models::{Medium, Model, ModelChoice};
+use crate::parameters::{Parameter, Parameters};
 use crate::scalar::WIDTH;
 use crate::scene::Scene;
 use crate::sensitivity::Coupling;
-use crate::systems::acceleration::Law;
-use crate::systems::loss::{LossSum, Observations};
+use crate::systems::Needs;
+use crate::systems::loss::{LossSum, Losses, Observations, losses};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
     Acceleration, AccelerationSensitivity, Identity, Position, PositionSensitivity, Velocity,
     VelocitySensitivity,
 };
+use crate::systems::programs::{Backward, Programs};
+use crate::systems::term::Term;
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::Failure;
-use crate::systems::{self, Needs};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use build::{
-    insert_adjoint, insert_forcing, insert_motion, no_change, spawn_particles, spawn_sensitivities,
+    insert_adjoint, insert_motion, laws_of, no_change, parameters_of, place_laws, spawn_particles,
+    spawn_sensitivities, terms_of,
 };
 use std::any::Any;
 
@@ -43,7 +47,7 @@ pub struct Differentiation {
     pub coupling: Coupling,
 }
 
-/// A World with its particles, its law and the order of its systems.
+/// A World with its particles, its terms and the order of their systems.
 pub struct Flow<const D: usize> {
     world: World,
     start: Schedule,
@@ -51,13 +55,13 @@ pub struct Flow<const D: usize> {
     started: bool,
     backward: Option<Backward>,
     columns: Vec<Parameter>,
-}
-
-/// The schedules of a flow that can be run backwards.
-struct Backward {
-    prepare: Schedule,
-    retreat: Schedule,
-    back_to_start: Schedule,
+    terms: Vec<Box<dyn Term<D>>>,
+    parameters: Parameters,
+    /// Of each term, where its parameters stand in the flat vector.
+    term_places: Vec<Vec<usize>>,
+    /// Names of the systems of a step that come from terms.
+    own_systems: Vec<String>,
+    identities: QueryState<&'static Identity>,
 }
 
 /// Everything that a flow is made of.
@@ -196,8 +200,8 @@ impl<const D: usize> Flow<D> {
         let seed = request.scene.seed;
         let mut flow =
             match std::mem::replace(&mut request.model, Source::Scene(Default::default())) {
-                Source::Scene(choice) => Self::with_model(request, choice.build(medium)?),
-                Source::Caller(model) => return Ok(Self::with_model(request, model)),
+                Source::Scene(choice) => Self::with_model(request, choice.build(medium)?)?,
+                Source::Caller(model) => return Self::with_model(request, model),
             };
         let weights = flow.draw_weights(seed);
         flow.set_weights(&weights);
@@ -225,43 +229,55 @@ impl<const D: usize> Flow<D> {
         ))
     }
 
-    fn with_model(request: Request<D>, model: Box<dyn Model<D>>) -> Self {
+    fn with_model(request: Request<D>, model: Box<dyn Model<D>>) -> Result<Self> {
         let Request { scene, state, differentiation, observations, adjoint, .. } = request;
+        let needs =
+            Needs { step: scene.time.step, sensitivities: differentiation.is_some(), adjoint };
+        let mut laws = laws_of(&scene, model);
+        let losses = observations.as_ref().map(|observed| Losses(losses(observed)));
+        let terms = terms_of(&scene, &laws, losses.as_ref())?;
+        let (parameters, places) = parameters_of(&terms)?;
+        place_laws(&mut laws, &terms, &places);
+        let programs = Programs::of(&terms, &needs)?;
         let mut world = World::new();
-        let needs = Needs {
-            step: scene.time.step,
-            stirring: insert_forcing(&mut world, &scene),
-            sensitivities: differentiation.is_some(),
-            adjoint,
-            loss: observations.is_some(),
-        };
         insert_motion::<D>(&mut world, &scene);
-        let weights = model.network().map_or(0, |network| network.weights.len());
-        world.insert_resource(Law(model));
+        world.insert_resource(laws);
         spawn_particles(&mut world, &state, adjoint);
+        for (term, places) in terms.iter().zip(&places) {
+            term.insert(places, &mut world);
+            term.columns().iter().for_each(|column| column.spawn(&mut world));
+        }
         if adjoint {
-            insert_adjoint::<D>(&mut world, Parameter::COUNT + weights);
+            insert_adjoint::<D>(&mut world, parameters.len());
         }
         if let Some(differentiation) = &differentiation {
-            spawn_sensitivities::<D>(&mut world, state.positions.len(), differentiation);
+            let by = (differentiation, &parameters);
+            spawn_sensitivities::<D>(&mut world, state.positions.len(), by)?;
         }
         let columns = differentiation.map(|d| d.parameters).unwrap_or_default();
-        if let Some(observations) = observations {
-            world.insert_resource(LossSum::new(columns.len().div_ceil(WIDTH)));
+        if let (Some(observations), Some(losses)) = (observations, losses) {
+            world.insert_resource(LossSum::new(&losses.0, columns.len().div_ceil(WIDTH)));
             world.insert_resource(observations);
+            world.insert_resource(losses);
         }
-        Self {
+        let Programs { start, advance, backward } = programs;
+        let (term_places, own_systems) = (places, Vec::new());
+        let identities = world.query();
+        let mut flow = Self {
             world,
-            start: systems::start::<D>(needs),
-            advance: systems::advance::<D>(needs),
+            start,
+            advance,
             started: false,
-            backward: adjoint.then(|| Backward {
-                prepare: systems::prepare::<D>(needs),
-                retreat: systems::retreat::<D>(needs),
-                back_to_start: systems::back_to_start::<D>(needs),
-            }),
+            backward,
             columns,
-        }
+            terms,
+            parameters,
+            term_places,
+            own_systems,
+            identities,
+        };
+        flow.know_own_systems()?;
+        Ok(flow)
     }
 
     /// Finds density and force of the initial state, if that has not been done yet.
@@ -276,6 +292,8 @@ impl<const D: usize> Flow<D> {
                 let remedy = "add it in a Phase of its own, or with .after() and .before()";
                 Error::input("the systems of this flow", expected, found, remedy)
             })?;
+            self.must_be_differentiated()?;
+            self.take_census()?;
             self.started = true;
             let Self { start, world, .. } = self;
             in_pool(|| start.run(world));
@@ -289,8 +307,10 @@ impl<const D: usize> Flow<D> {
     /// [`Error::Diverged`] where the flow can no longer be trusted; every later step repeats it.
     pub fn step(&mut self) -> Result<()> {
         self.start()?;
+        self.take_census()?;
         let Self { advance, world, .. } = self;
         in_pool(|| advance.run(world));
+        self.take_census()?;
         self.verdict()
     }
 
@@ -315,9 +335,16 @@ impl<const D: usize> Flow<D> {
             self.world
                 .query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
         for (id, mut r, mut v, mut a) in rows.iter_mut(&mut self.world) {
-            r.0 = state.positions[id.0 as usize];
-            v.0 = state.velocities[id.0 as usize];
-            a.0 = Vector::zero();
+            let row = id.0 as usize;
+            if let (Some(&start), Some(&speed)) =
+                (state.positions.get(row), state.velocities.get(row))
+            {
+                (r.0, v.0, a.0) = (start, speed, Vector::zero());
+            }
+        }
+        for term in &self.terms {
+            term.reset(&mut self.world);
+            term.columns().iter().for_each(|column| column.forget(&mut self.world));
         }
         let mut blocks = self.world.query::<(
             &mut PositionSensitivity<D>,
@@ -329,8 +356,9 @@ impl<const D: usize> Flow<D> {
         }
         self.world.insert_resource(Clock { start: state.time, ..Clock::default() });
         self.world.insert_resource(Failure::default());
-        if self.world.contains_resource::<LossSum>() {
-            self.world.insert_resource(LossSum::new(self.columns.len().div_ceil(WIDTH)));
+        if let Some(losses) = self.world.get_resource::<Losses<D>>() {
+            let nothing = LossSum::new(&losses.0, self.columns.len().div_ceil(WIDTH));
+            self.world.insert_resource(nothing);
         }
         self.world.resource_mut::<Neighbours<D>>().invalidate();
         self.started = false;
@@ -363,16 +391,15 @@ impl<const D: usize> Flow<D> {
         &mut self.world
     }
 
-    /// The order of one step, to add systems to.
+    /// The order of one step, to add systems to. Where the flow is differentiated, systems that change anything are
+    /// refused: a derivative would not know of them. What is to be learned is a [`Term`].
     pub fn schedule_mut(&mut self) -> &mut Schedule {
         &mut self.advance
     }
 
     /// Builds every schedule without running them: an error if two systems could run in either order.
     pub fn check_order(&mut self) -> std::result::Result<(), String> {
-        let backward = self.backward.iter_mut().flat_map(|backward| {
-            [&mut backward.prepare, &mut backward.retreat, &mut backward.back_to_start]
-        });
+        let backward = self.backward.iter_mut().flat_map(Backward::all_mut);
         for schedule in [&mut self.start, &mut self.advance].into_iter().chain(backward) {
             schedule.initialize(&mut self.world).map_err(|error| format!("{error:?}"))?;
         }

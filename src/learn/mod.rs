@@ -4,7 +4,9 @@ mod search;
 
 use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
-use crate::models::{Medium, Parameter};
+use crate::models::Medium;
+use crate::optimisers::Coordinates;
+use crate::parameters::{Domain, Parameter, ParameterSpec};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Coupling, Gradient, SHORTEN, adjoint_gradient};
 use crate::systems::loss::{LossSum, Observations};
@@ -64,9 +66,9 @@ pub struct Outcome {
 /// [`Error::Input`] for options that make no network.
 pub fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
     let model = learn.model.build(Medium::<D>::of(scene, scene.particles()))?;
-    let weights = model.network().map_or(0, |network| network.weights.len() as u32);
-    let weights = (0..weights).map(Parameter::Weight);
-    Ok(learn.parameters.iter().copied().chain(weights).collect())
+    let weights = model.network().map_or(0, |network| network.weights.len());
+    let weights = (0..weights).map(Parameter::weight);
+    Ok(learn.parameters.iter().cloned().chain(weights).collect())
 }
 
 /// A prediction that learns: a flow with sensitivities, started again and again from the same state.
@@ -75,6 +77,8 @@ pub struct Learner<const D: usize> {
     from: State<D>,
     learn: Learn,
     columns: Vec<Parameter>,
+    /// Their places in the flat vector of the flow.
+    places: Vec<usize>,
     frames: usize,
     gradient: Gradient,
     /// Most bytes that the last adjoint held.
@@ -99,7 +103,8 @@ impl<const D: usize> Learner<D> {
                 Flow::build(scene, &from, Some(&by), Some(observations))?
             }
         };
-        Ok(Self { flow, from, learn, columns, frames, gradient, held: 0, warm_up: None })
+        let places = flow.places(&columns)?;
+        Ok(Self { flow, from, learn, columns, places, frames, gradient, held: 0, warm_up: None })
     }
 
     /// A learner for a scene from a truth, with the scene's warm-up.
@@ -141,17 +146,29 @@ impl<const D: usize> Learner<D> {
         &self.columns
     }
 
-    /// The first guess: the scene's, or drawn from uniform (0, 1) where it has none; weights as
-    /// [`crate::network::Network::initial`] draws them.
+    /// The first guess: the scene's `learn.guess`; where it has none, `c, α, β, γ, θ` are drawn from uniform (0, 1),
+    /// weights as [`crate::network::Network::initial`] draws them, and others start at the scene's own value.
     pub fn guess(&self, seed: u64) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Guess);
         let draw = |p: &Parameter| {
             let drawn = generator.random::<f64>();
-            self.learn.guess.get(&*p.name()).copied().unwrap_or(drawn)
+            let own = self.flow.parameters().get(p).filter(|_| !Parameter::PHYSICAL.contains(p));
+            self.learn.guess.get(p.name()).copied().or(own).unwrap_or(drawn)
         };
         let mut guess: Vec<f64> = self.learn.parameters.iter().map(draw).collect();
         guess.extend(self.flow.draw_weights(seed));
         guess
+    }
+
+    /// The coordinates of the search, and the domains that it keeps to: those of the parameters, but for those that
+    /// the scene leaves unbounded.
+    fn coordinates(&self) -> Coordinates {
+        let specs = self.places.iter().map(|&place| {
+            let spec = self.flow.parameters().specs()[place].clone();
+            let free = self.learn.unbounded.contains(&spec.name);
+            ParameterSpec { domain: if free { Domain::Real } else { spec.domain }, ..spec }
+        });
+        Coordinates::new(&specs.collect::<Vec<_>>())
     }
 
     /// Runs the prediction over the first `window` frames and compares it with the truth.
@@ -167,9 +184,7 @@ impl<const D: usize> Learner<D> {
         (0..self.steps(window)).try_for_each(|_| self.flow.step())?;
         let loss = self.flow.loss();
         let count = learned.len();
-        let add = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
-        let normal = add(loss.trajectory.normal(count), loss.field.normal(count));
-        self.evaluation(learned, &loss, (loss.gradient(count), normal))
+        self.evaluation(learned, &loss, (loss.gradient(count), loss.normal(count)))
     }
 
     /// Steps to the last of so many frames.
@@ -179,7 +194,7 @@ impl<const D: usize> Learner<D> {
 
     /// Puts the prediction back to its start, with other parameters, to be compared over `window` frames.
     pub fn start_over(&mut self, learned: &[f64], window: usize) {
-        self.flow.set_learned(&self.columns, learned);
+        self.flow.set_at(&self.places, learned);
         self.flow.set_window(window);
         self.flow.reset(&self.from);
     }
@@ -189,7 +204,7 @@ impl<const D: usize> Learner<D> {
         let steps = self.steps(window);
         let found = adjoint_gradient(&mut self.flow, &self.from, steps, storage)?;
         self.held = found.bytes;
-        let gradient = self.columns.iter().map(|p| found.gradient[p.index()]).collect();
+        let gradient = self.places.iter().map(|&place| found.gradient[place]).collect();
         self.evaluation(learned, &found.loss, (gradient, Vec::new()))
     }
 
@@ -222,9 +237,9 @@ impl<const D: usize> Learner<D> {
         Ok(Evaluation {
             parameters: learned.to_vec(),
             loss: value,
-            trajectory: loss.trajectory.value,
-            field: loss.field.value,
-            kl: loss.kl.value,
+            trajectory: loss.value_of("trajectory"),
+            field: loss.value_of("field"),
+            kl: loss.value_of("kl"),
             gradient,
             normal,
         })

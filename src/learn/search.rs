@@ -2,7 +2,9 @@
 
 use super::{Evaluation, Iteration, Learner, Outcome};
 use crate::error::Result;
-use crate::optimisers::{Adam, Descend, Lbfgs, LevenbergMarquardt, LineSearch, Products, Rmsprop};
+use crate::optimisers::{
+    Adam, Coordinates, Descend, Lbfgs, LevenbergMarquardt, LineSearch, Rmsprop,
+};
 use crate::scene::Optimiser;
 
 impl<const D: usize> Learner<D> {
@@ -124,18 +126,21 @@ impl<const D: usize> Learner<D> {
         best: &mut Evaluation,
         window: usize,
     ) -> Option<String> {
-        let products = Products::new(&self.columns);
-        let (gradient, normal) = products.pull_back(&best.parameters, &best.gradient, &best.normal);
+        let coordinates = self.coordinates();
+        let from = &best.parameters;
+        let (mut gradient, mut normal) = coordinates.pull_back(from, &best.gradient, &best.normal);
+        hold(&coordinates.held(from, &best.gradient), &mut gradient, &mut normal);
         let Some((step, predicted)) = optimiser.propose(&gradient, &normal) else {
             optimiser.reject();
             return Some("the damped normal matrix is not positive definite".to_owned());
         };
-        let here = products.products(&best.parameters);
+        let here = coordinates.coordinates(from);
         let there: Vec<f64> = here.iter().zip(step).map(|(x, s)| x + s).collect();
-        let Some(trial) = products.parameters(&there) else {
+        let Some(trial) = coordinates.parameters(&there) else {
             optimiser.reject();
             return Some("trial taken back: its sound speed is imaginary".to_owned());
         };
+        let trial = coordinates.into_domain(from, &trial);
         match self.evaluate(&trial, window) {
             Ok(found) if found.loss < best.loss => {
                 optimiser.accept(best.loss - found.loss, predicted);
@@ -169,6 +174,7 @@ impl<const D: usize> Learner<D> {
         // Ten decays a stage.
         let share = self.share();
         let last = window == self.frames;
+        let coordinates = self.coordinates();
         let mut here = self.evaluate(&search.at, window)?;
         for iteration in 0..=share {
             if last {
@@ -179,6 +185,7 @@ impl<const D: usize> Learner<D> {
             }
             let rate = optimiser.rate();
             optimiser.descend(&mut search.at, &here.gradient);
+            search.at = coordinates.into_domain(&here.parameters, &search.at);
             if (iteration + 1) % share.div_ceil(10) == 0 {
                 optimiser.set_rate(rate * decay);
             }
@@ -199,7 +206,7 @@ impl<const D: usize> Learner<D> {
         Ok(())
     }
 
-    /// Limited-memory BFGS in the products. An iteration is one evaluation: a trial on a line counts
+    /// Limited-memory BFGS in the coordinates. An iteration is one evaluation: a trial on a line counts
     /// like any other.
     fn quasi_newton(
         &mut self,
@@ -209,21 +216,22 @@ impl<const D: usize> Learner<D> {
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<()> {
         let end = search.index + self.share();
-        let products = Products::new(&self.columns);
+        let coordinates = self.coordinates();
         let mut optimiser = Lbfgs::new(memory);
         let mut here = self.evaluate(&search.at, window)?;
         let mut failures = 0;
         while search.index < end && here.loss > self.learn.target && failures < 2 {
-            let slopes = products.pull_gradient_back(&here.parameters, &here.gradient);
+            let slopes = coordinates.pull_gradient_back(&here.parameters, &here.gradient);
             let direction = optimiser.direction(&slopes);
-            let from = products.products(&here.parameters);
+            let from = coordinates.coordinates(&here.parameters);
             let first = if optimiser.is_empty() { length } else { 1.0 };
-            let line = Line { products: &products, from: &from, direction: &direction, window };
+            let (coordinates, start) = (&coordinates, &here.parameters[..]);
+            let line = Line { coordinates, start, from: &from, direction: &direction, window };
             let trials = TRIALS.min(end - search.index);
             match self.search_line(search, (&line, first, trials), &here, watch)? {
                 Some(new) => {
-                    let there = products.products(&new.parameters);
-                    let turned = products.pull_gradient_back(&new.parameters, &new.gradient);
+                    let there = coordinates.coordinates(&new.parameters);
+                    let turned = coordinates.pull_gradient_back(&new.parameters, &new.gradient);
                     optimiser.remember(minus(&there, &from), minus(&turned, &slopes));
                     here = new;
                     failures = 0;
@@ -292,9 +300,24 @@ impl<const D: usize> Learner<D> {
     }
 }
 
-/// A line in the space of the products.
+/// Keeps the parameters that stand at the edge of their domain out of a step.
+fn hold(held: &[bool], gradient: &mut [f64], normal: &mut [f64]) {
+    let count = held.len();
+    for held in (0..count).filter(|&k| held[k]) {
+        gradient[held] = 0.0;
+        for other in 0..count {
+            normal[held * count + other] = 0.0;
+            normal[other * count + held] = 0.0;
+        }
+        normal[held * count + held] = 1.0;
+    }
+}
+
+/// A line in the space of the coordinates.
 struct Line<'a> {
-    products: &'a Products,
+    coordinates: &'a Coordinates,
+    /// The parameters where it begins.
+    start: &'a [f64],
     from: &'a [f64],
     direction: &'a [f64],
     /// Frames over which evaluations on it run.
@@ -304,14 +327,15 @@ struct Line<'a> {
 impl Line<'_> {
     /// The parameters at a length; `None` where there are none.
     fn at(&self, length: f64) -> Option<Vec<f64>> {
-        let steps = self.from.iter().zip(self.direction);
-        self.products.parameters(&steps.map(|(x, d)| x + length * d).collect::<Vec<_>>())
+        let steps = self.from.iter().zip(self.direction).map(|(x, d)| x + length * d);
+        let there = self.coordinates.parameters(&steps.collect::<Vec<_>>())?;
+        Some(self.coordinates.into_domain(self.start, &there))
     }
 
     /// The loss's slope along the line.
     fn slope(&self, evaluation: &Evaluation) -> f64 {
         let (at, gradient) = (&evaluation.parameters, &evaluation.gradient);
-        dot(&self.products.pull_gradient_back(at, gradient), self.direction)
+        dot(&self.coordinates.pull_gradient_back(at, gradient), self.direction)
     }
 }
 

@@ -36,24 +36,16 @@ pub struct StateAdjoint<const D: usize> {
     pub velocity: Vec<Vector<f64, D>>,
     /// `∂L/∂ρ`.
     pub density: Vec<f64>,
+    /// `∂L/∂` of parameters that the loss depends on directly: place in the flat vector, and derivative.
+    pub parameters: Vec<(usize, f64)>,
 }
 
 impl<const D: usize> StateAdjoint<D> {
     /// No loss, of `count` particles.
     pub fn zero(count: usize) -> Self {
         let zeros = vec![Vector::zero(); count];
-        Self { value: 0.0, position: zeros.clone(), velocity: zeros, density: vec![0.0; count] }
-    }
-
-    /// Adds another loss.
-    pub fn merge(&mut self, other: &Self) {
-        let vectors = |a: &mut [Vector<f64, D>], b: &[Vector<f64, D>]| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += *b);
-        };
-        self.value += other.value;
-        vectors(&mut self.position, &other.position);
-        vectors(&mut self.velocity, &other.velocity);
-        self.density.iter_mut().zip(&other.density).for_each(|(a, b)| *a += b);
+        let (value, density, parameters) = (0.0, vec![0.0; count], Vec::new());
+        Self { value, position: zeros.clone(), velocity: zeros, density, parameters }
     }
 }
 

@@ -3,7 +3,6 @@
 use super::scales::Units;
 use super::{
     CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales,
-    StressSlope,
 };
 use crate::error::Result;
 use crate::network::Network;
@@ -65,11 +64,11 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
         true
     }
 
-    medium_and_network!();
+    medium_and_network!("eos-nn");
 
     /// `c`: what the network makes of other densities is not known before it has learned.
     fn sound_speed(&self, _: f64) -> f64 {
-        self.medium.parameters.0[0].abs()
+        self.medium.fluid.c.abs()
     }
 
     /// `A = S NN/ρ²`.
@@ -79,12 +78,12 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> StressSlope {
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        room.stress_by.fill(Lanes::ZERO);
         let value = self.evaluate(rho, room);
         self.network.jacobian(room);
         let by_density = room.jacobian[0] / self.units.compression - value * 2.0 / rho;
-        let by_density = by_density * self.units.stress / (rho * rho);
-        StressSlope { by_density, ..StressSlope::ZERO }
+        by_density * self.units.stress / (rho * rho)
     }
 
     #[inline(always)]
@@ -109,11 +108,26 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
 }
 
 impl<const D: usize> PairLaw<D> for EosNn<D> {
-    type Slope<W: Wide> = CentralSlope<W, D>;
+    type ByParameter<W: Wide> = [W; 3];
+    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true
+    }
+
+    fn parts(&self) -> &'static [&'static str] {
+        &["pressure", "viscosity"]
+    }
+
+    #[inline(always)]
+    fn part_of_force<W: Wide>(
+        &self,
+        part: usize,
+        pairs: &Batch<W, D>,
+        _: &mut Room,
+    ) -> Vector<W, D> {
+        self.medium.part_of_force(part, pairs)
     }
 
     #[inline(always)]
@@ -122,7 +136,7 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; 3]> {
         self.medium.slope(pairs)
     }
 
@@ -132,7 +146,7 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
         _: &mut Room,
-    ) -> PairCotangent<W, D> {
+    ) -> PairCotangent<W, D, [W; 3]> {
         self.medium.pullback(pairs, force)
     }
 }

@@ -83,7 +83,7 @@ impl<const D: usize> GradP<D> {
 }
 
 impl<const D: usize> Constitutive<D> for GradP<D> {
-    medium_and_network!();
+    medium_and_network!("grad-p");
 
     fn sound_speed(&self, _: f64) -> f64 {
         0.0
@@ -91,7 +91,8 @@ impl<const D: usize> Constitutive<D> for GradP<D> {
 }
 
 impl<const D: usize> PairLaw<D> for GradP<D> {
-    type Slope<W: Wide> = CentralSlope<W, D>;
+    type ByParameter<W: Wide> = [W; 3];
+    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -102,6 +103,21 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
         true
     }
 
+    fn parts(&self) -> &'static [&'static str] {
+        &["pressure", "viscosity"]
+    }
+
+    #[inline(always)]
+    fn part_of_force<W: Wide>(
+        &self,
+        part: usize,
+        pairs: &Batch<W, D>,
+        room: &mut Room,
+    ) -> Vector<W, D> {
+        let stresses = self.stresses(pairs, room);
+        pairs.separation * self.medium.strengths(&pairs.pair, stresses)[part]
+    }
+
     #[inline(always)]
     fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
         let stresses = self.stresses(pairs, room);
@@ -109,7 +125,7 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D, [W; 3]> {
         let stresses = self.stresses(pairs, room);
         self.network.jacobian(room);
         let s = self.medium.strength_gradient(&pairs.pair, stresses);
@@ -125,7 +141,7 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<W, D> {
+    ) -> PairCotangent<W, D, [W; 3]> {
         let stresses = self.stresses(pairs, room);
         let (mut cotangent, by_stress) = self.medium.pullback_of(pairs, stresses, force);
         room.output_cotangent[0] = (by_stress * self.units.stress).store();

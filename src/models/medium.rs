@@ -1,27 +1,67 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
-use super::{CentralSlope, PairCotangent, Parameters};
+use super::{CentralSlope, PairCotangent};
 use crate::kernel::{KernelName, Smoothing};
 use crate::pairs::{Batch, Pair};
+use crate::parameters::{Coordinate, Domain, Parameter, ParameterSpec};
 use crate::scalar::{Scalar, Wide};
 use crate::scene::Scene;
 use crate::vector::Vector;
 use crate::viscosity::{Viscosity, monaghan, monaghan_gradient};
 
-/// Mass, kernel and physical parameters: the part of a model that is known.
+/// The constants of a fluid, Eqs. (20) and (21).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FluidConstants {
+    /// Sound speed `c`.
+    pub c: f64,
+    /// Linear viscosity `α`.
+    pub alpha: f64,
+    /// Quadratic viscosity `β`.
+    pub beta: f64,
+    /// Exponent `γ` of the equation of state.
+    pub gamma: f64,
+    /// Background pressure `p₀`.
+    pub p0: f64,
+}
+
+impl FluidConstants {
+    /// How many there are: they are the first parameters of every model, in this order.
+    pub const COUNT: usize = 5;
+
+    /// As parameters. Pressure near the reference density is `c²(ρ−1) + ½(c²γ − c²)(ρ−1)² + …`, viscosity is `αc`
+    /// times one thing plus `β` times another: over one step the force is nearly linear in `(c², αc, β, c²γ, p₀)`.
+    pub fn specs(&self) -> [ParameterSpec; Self::COUNT] {
+        let times = |power| Coordinate::Times(Parameter::C, power);
+        [
+            ParameterSpec::new(Parameter::C, self.c)
+                .within(Domain::Positive)
+                .searched_by(Coordinate::Square),
+            ParameterSpec::new(Parameter::ALPHA, self.alpha)
+                .within(Domain::NonNegative)
+                .searched_by(times(1)),
+            ParameterSpec::new(Parameter::BETA, self.beta).within(Domain::NonNegative),
+            ParameterSpec::new(Parameter::GAMMA, self.gamma)
+                .within(Domain::Positive)
+                .searched_by(times(2)),
+            ParameterSpec::new("p0", self.p0),
+        ]
+    }
+}
+
+/// Mass, kernel and constants: the part of a model that is known.
 #[derive(Clone, Debug)]
 pub struct Medium<const D: usize> {
     /// Mass `m` of every particle.
     pub mass: f64,
     /// The kernel at the scene's smoothing length.
     pub smoothing: Smoothing<KernelName, D>,
-    /// `c, α, β, γ, θ`.
-    pub parameters: Parameters<f64>,
+    /// The constants of the fluid.
+    pub fluid: FluidConstants,
 }
 
 /// The strength `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient.
 #[derive(Clone, Copy, Debug)]
-pub struct Strength<T> {
+pub struct Strength<T, P = [T; 0]> {
     /// `s`.
     pub value: T,
     /// `∂s/∂(r·δr)`, that is `2 ∂s/∂(r²)`.
@@ -32,8 +72,8 @@ pub struct Strength<T> {
     pub by_stress: T,
     /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed stress.
     pub by_density: T,
-    /// `∂s/∂(c, α, β)` at fixed stress.
-    pub by_parameter: [T; 3],
+    /// `∂s/∂(c, α, β)` at fixed stress, or by the first parameters of another law.
+    pub by_parameter: P,
 }
 
 impl<const D: usize> Medium<D> {
@@ -43,21 +83,45 @@ impl<const D: usize> Medium<D> {
         Self {
             mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
             smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
-            parameters: scene.parameters(),
+            fluid: fluid.constants(),
         }
+    }
+
+    /// The parameters of every model that stands on it: the fluid's constants.
+    pub fn specs(&self) -> Vec<ParameterSpec> {
+        self.fluid.specs().to_vec()
+    }
+
+    /// Puts other values of them in force.
+    pub fn set(&mut self, values: &[f64]) {
+        if let [c, alpha, beta, gamma, p0, ..] = *values {
+            self.fluid = FluidConstants { c, alpha, beta, gamma, p0 };
+        }
+    }
+
+    /// How many parameters it has.
+    pub fn scalars(&self) -> usize {
+        FluidConstants::COUNT
     }
 
     /// Whether `Π` vanishes for every pair; its derivatives by `α` and `β` do not.
     #[inline(always)]
     fn is_inviscid(&self) -> bool {
-        let [_, alpha, beta, ..] = self.parameters.0;
-        alpha == 0.0 && beta == 0.0
+        self.fluid.alpha == 0.0 && self.fluid.beta == 0.0
     }
 
     #[inline(always)]
     fn viscosity<T: Scalar>(&self) -> Viscosity<T> {
-        let [c, alpha, beta, ..] = self.parameters.0;
+        let FluidConstants { c, alpha, beta, .. } = self.fluid;
         Viscosity { c: T::of(c), alpha: T::of(alpha), beta: T::of(beta) }
+    }
+
+    /// The parts of [`Medium::strength`]: pressure and viscosity.
+    #[inline(always)]
+    pub fn strengths<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> [T; 2] {
+        let pull = self.smoothing.gradient(pair.r2.sqrt());
+        let viscous = monaghan(pair, self.smoothing.h, &self.viscosity());
+        [stresses * pull * -self.mass, viscous * pull * -self.mass]
     }
 
     /// `s = −m (X + Πᵢⱼ) G(r)` for a pair whose stresses sum to `X`: the law of Eq. (7) in one line.
@@ -72,7 +136,7 @@ impl<const D: usize> Medium<D> {
 
     /// [`Medium::strength`] with its derivatives, by hand.
     #[inline(always)]
-    pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T> {
+    pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T, [T; 3]> {
         let by = self.viscosity();
         let r = pair.r2.sqrt();
         let [gradient, curvature] = self.smoothing.slopes(r);
@@ -89,9 +153,16 @@ impl<const D: usize> Medium<D> {
         }
     }
 
+    /// The pressure or the viscosity of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    #[inline(always)]
+    pub fn part_of_force<W: Wide>(&self, part: usize, pairs: &Batch<W, D>) -> Vector<W, D> {
+        let strengths = self.strengths(&pairs.pair, pairs.stress_i + pairs.stress_j);
+        pairs.separation * strengths[part]
+    }
+
     /// The linearised force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
     #[inline(always)]
-    pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D> {
+    pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
     }
@@ -102,7 +173,7 @@ impl<const D: usize> Medium<D> {
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-    ) -> PairCotangent<W, D> {
+    ) -> PairCotangent<W, D, [W; 3]> {
         let (mut cotangent, by_stress) =
             self.pullback_of(pairs, pairs.stress_i + pairs.stress_j, force);
         cotangent.stress = [by_stress; 2];
@@ -119,7 +190,7 @@ impl<const D: usize> Medium<D> {
         pairs: &Batch<W, D>,
         stresses: W,
         force: Vector<W, D>,
-    ) -> (PairCotangent<W, D>, W) {
+    ) -> (PairCotangent<W, D, [W; 3]>, W) {
         let (r, v, h) = (pairs.separation, pairs.velocity, self.smoothing.h);
         let by = self.viscosity();
         let [gradient, curvature] = self.smoothing.slopes(pairs.pair.r2.sqrt());

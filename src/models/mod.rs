@@ -25,92 +25,35 @@
 //! | network by its inputs and weights | many → 1 or `d` | reverse ([`crate::network`]) |
 //! | loss by everything | many → 1 | adjoint, or forward for few parameters ([`crate::sensitivity`]) |
 //!
-//! **A law of your own** is a struct with two traits. Here soft spheres that push each other away
-//! with `k = 0.05 c²/h²`, fading towards `2h`:
-//!
-//! ```
-//! use whirls::models::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, Strength, Window};
-//! use whirls::{Flow, Scene, flow::State, pairs::Batch, scalar::Wide, vector::Vector};
-//!
-//! #[derive(Clone, Debug)]
-//! struct SoftSpheres<const D: usize>(Medium<D>);
-//!
-//! impl<const D: usize> SoftSpheres<D> {
-//!     /// `fᵢⱼ = s rᵢⱼ` with `s = k w(r)`, and its gradient.
-//!     fn strength<W: Wide>(&self, pairs: &Batch<W, D>) -> Strength<W> {
-//!         let (c, h) = (self.0.parameters.0[0], self.0.smoothing.h);
-//!         let (window, by_r2) = Window::new(h, true).at(pairs.pair.r2);
-//!         let (k, zero) = (0.05 * c * c / (h * h), W::of(0.0));
-//!         Strength {
-//!             value: window * k,
-//!             by_separation: by_r2 * k,
-//!             by_approach: zero,
-//!             by_stress: zero,
-//!             by_density: zero,
-//!             by_parameter: [window * (2.0 * k / c), zero, zero],
-//!         }
-//!     }
-//! }
-//!
-//! impl<const D: usize> Constitutive<D> for SoftSpheres<D> {
-//!     fn medium(&self) -> &Medium<D> {
-//!         &self.0
-//!     }
-//!     fn medium_mut(&mut self) -> &mut Medium<D> {
-//!         &mut self.0
-//!     }
-//!     fn sound_speed(&self, _: f64) -> f64 {
-//!         0.0 // pressure has no part in it, so no sound limits the step
-//!     }
-//! }
-//!
-//! impl<const D: usize> PairLaw<D> for SoftSpheres<D> {
-//!     type Slope<W: Wide> = CentralSlope<W, D>;
-//!     fn is_antisymmetric(&self) -> bool {
-//!         true
-//!     }
-//!     fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
-//!         pairs.separation * self.strength(pairs).value
-//!     }
-//!     fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
-//!         CentralSlope::new(pairs, &self.strength(pairs), [W::of(0.0); 2])
-//!     }
-//!     fn pullback<W: Wide>(&self, pairs: &Batch<W, D>, force: Vector<W, D>, room: &mut Room) -> PairCotangent<W, D> {
-//!         self.slope(pairs, room).pullback(force)
-//!     }
-//! }
-//!
-//! let scene = Scene::open("inverse-2d", &["fluid.particles_per_side=16".into(), "fluid.smoothing_length=0.4".into()])?;
-//! let state = State::initial(&scene);
-//! let spheres = SoftSpheres::<2>(Medium::of(&scene, state.positions.len()));
-//! let mut flow = Flow::with_own_model(&scene, &state, Box::new(spheres))?;
-//! (0..20).try_for_each(|_| flow.step())?;
-//! assert!(flow.momentum_rates().pressure.norm() < 1e-13 * flow.momentum_rates().scale);
-//! # Ok::<(), whirls::Error>(())
-//! ```
+//! **A law of your own** between two particles is one function, [`CentralForce`], which dual numbers differentiate;
+//! [`crate::scene::Scene::add_pair_law`] adds it to a scene, and its parameters are learned like any other. A law that
+//! needs more (a network, every cycle) implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
 
+mod central;
 mod medium;
 mod pairwise;
-mod parameter;
 mod room;
 mod scales;
 mod slope;
 mod tangent;
 mod window;
 
-pub use medium::{Medium, Strength};
-pub use parameter::{Parameter, Parameters};
+pub use central::{Central, CentralForce};
+pub use medium::{FluidConstants, Medium, Strength};
 pub use room::{Learned, Room};
 pub use scales::Scales;
-pub use slope::{CentralSlope, Change, MatrixSlope, PairCotangent, Slope};
+pub use slope::{CentralSlope, Change, GeneralSlope, PairCotangent, Slope, Slots};
 use slope::{load_vector, store_vector};
-pub use tangent::{CentralRows, EightPairs, Form, MatrixRows, OwnSlope, PairRows, Slopes};
+pub use tangent::{
+    CentralRows, EightPairs, Form, GeneralRows, MatrixRows, OwnSlope, PairRows, Slopes,
+};
 pub use window::Window;
 
 use crate::error::{Error, Result};
 use crate::kernel::{KernelName, Smoothing};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{Batch, Hood};
+use crate::parameters::ParameterSpec;
 use crate::scalar::{Lanes, Wide};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -123,7 +66,11 @@ pub use physics::Physics;
 
 /// The accessors of a model that keeps a `medium` and a `network` under these names.
 macro_rules! medium_and_network {
-    () => {
+    ($kind:literal) => {
+        fn name(&self) -> &str {
+            $kind
+        }
+
         fn medium(&self) -> &Medium<D> {
             &self.medium
         }
@@ -235,22 +182,6 @@ impl ModelChoice {
     }
 }
 
-/// How a particle's stress `A` changes, eight particles at once; by the weights of a network see
-/// [`Constitutive::stress_weights`].
-#[derive(Clone, Copy, Debug)]
-pub struct StressSlope {
-    /// `∂A/∂ρ`.
-    pub by_density: Lanes,
-    /// `∂A/∂(c, α, β, γ, θ)`.
-    pub by_parameter: [Lanes; Parameter::COUNT],
-}
-
-impl StressSlope {
-    /// No dependence.
-    pub const ZERO: Self =
-        Self { by_density: Lanes::ZERO, by_parameter: [Lanes::ZERO; Parameter::COUNT] };
-}
-
 /// What a particle is by itself.
 pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     /// Mass, kernel and physical parameters.
@@ -258,6 +189,11 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
 
     /// The same, to change.
     fn medium_mut(&mut self) -> &mut Medium<D>;
+
+    /// Its name: a `kind` in scenes, or that of a law of the caller's own.
+    fn name(&self) -> &str {
+        "pair law"
+    }
 
     /// Whether particles bring a stress to their pairs.
     fn has_stress(&self) -> bool {
@@ -274,14 +210,19 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
         self.medium().mass
     }
 
-    /// The physical parameters in force.
-    fn parameters(&self) -> &Parameters<f64> {
-        &self.medium().parameters
+    /// Its scalar parameters with the values in force: those of the medium, then its own.
+    fn specs(&self) -> Vec<ParameterSpec> {
+        self.medium().specs()
     }
 
-    /// Puts other physical parameters in force.
-    fn set_parameters(&mut self, parameters: Parameters<f64>) {
-        self.medium_mut().parameters = parameters;
+    /// How many these are.
+    fn scalars(&self) -> usize {
+        self.medium().scalars()
+    }
+
+    /// Puts other values of them in force.
+    fn set_scalars(&mut self, values: &[f64]) {
+        self.medium_mut().set(values);
     }
 
     /// The network, where there is one.
@@ -297,7 +238,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     /// The speed of sound at density `rho`, for the Courant number; zero where the model has none.
     /// Monotonic in `rho`. By default that of Tait's fluid, `c ρ^((γ−1)/2)`.
     fn sound_speed(&self, rho: f64) -> f64 {
-        let [c, _, _, gamma, _] = self.medium().parameters.0;
+        let FluidConstants { c, gamma, .. } = self.medium().fluid;
         c.abs() * rho.max(0.0).powf(0.5 * (gamma - 1.0))
     }
 
@@ -307,10 +248,11 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
         Lanes::ZERO
     }
 
-    /// How that changes.
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> StressSlope {
-        let _ = (rho, room);
-        StressSlope::ZERO
+    /// `∂A/∂ρ`; with it `∂A` by each scalar parameter into `room.stress_by`, whose other entries are zero.
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        let _ = rho;
+        room.stress_by.fill(Lanes::ZERO);
+        Lanes::ZERO
     }
 
     /// `∂A/∂weights` into `room.weights`; nothing where the stress has no network.
@@ -321,18 +263,20 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     /// The transpose of both: from `∂L/∂A` of eight particles, `∂L/∂ρ` through `A`; the derivatives by
     /// parameters and weights are added to the room's sums.
     fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
-        let slope = self.stress_slope(rho, room);
-        for (sum, by) in room.physical.iter_mut().zip(slope.by_parameter) {
+        let by_density = self.stress_slope(rho, room);
+        for (sum, &by) in room.scalars.iter_mut().zip(&room.stress_by) {
             *sum += by * stress;
         }
-        slope.by_density * stress
+        by_density * stress
     }
 }
 
 /// What two particles do to each other.
 pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
+    /// One number for each of its first scalar parameters, on which the pair force depends directly: `[W; P]`.
+    type ByParameter<W: Wide>: Slots<W>;
     /// The linearised force.
-    type Slope<W: Wide>: Slope<W, D>;
+    type Slope<W: Wide>: Slope<W, D, ByParameter = Self::ByParameter<W>>;
 
     /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
     fn is_antisymmetric(&self) -> bool;
@@ -342,20 +286,53 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
         false
     }
 
+    /// Names of the parts that its force is told by in reports.
+    fn parts(&self) -> &'static [&'static str] {
+        &["pair force"]
+    }
+
+    /// One of the parts of [`PairLaw::force`].
+    #[inline(always)]
+    fn part_of_force<W: Wide>(
+        &self,
+        part: usize,
+        pairs: &Batch<W, D>,
+        room: &mut Room,
+    ) -> Vector<W, D> {
+        let _ = part;
+        self.force(pairs, room)
+    }
+
+    /// Whether the pair force depends on scalar parameters beyond the first.
+    fn has_later_parameters(&self) -> bool {
+        false
+    }
+
+    /// `∂f/∂` of such a parameter, by its place among the law's scalars.
+    #[inline(always)]
+    fn by_later_parameter<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        parameter: usize,
+    ) -> Option<Vector<W, D>> {
+        let _ = (pairs, parameter);
+        None
+    }
+
     /// The acceleration `fᵢⱼ` that eight neighbours each give to particle `i`.
     fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D>;
 
     /// Its derivative by the pair's state.
     fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Self::Slope<W>;
 
-    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the physical parameters at fixed
-    /// stress; those by a network's weights are added to `room.weights`.
+    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the first parameters at fixed stress;
+    /// those by a network's weights are added to `room.weights`.
     fn pullback<W: Wide>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
         room: &mut Room,
-    ) -> PairCotangent<W, D>;
+    ) -> PairCotangent<W, D, Self::ByParameter<W>>;
 }
 
 /// Which derivatives of a force are kept.
@@ -363,8 +340,19 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
 pub struct Kept<'a> {
     /// All, or particle `i`'s own.
     pub coupling: Coupling,
+    /// Whether the direct derivatives by scalar parameters are wanted.
+    pub direct: bool,
     /// `∂A/∂ρ` per slot.
     pub stress_slopes: &'a [f64],
+}
+
+/// Where the forces on a chunk of particles go.
+#[derive(Debug)]
+pub struct ForceOutput<'a, const D: usize> {
+    /// `a` of each particle.
+    pub accelerations: &'a mut [Vector<f64, D>],
+    /// Whether forces are added to what another law has left there.
+    pub add: bool,
 }
 
 /// What one chunk passes back through the force, in the order of its slots.
@@ -408,7 +396,18 @@ pub trait Model<const D: usize>: Constitutive<D> {
     fn boxed(&self) -> Box<dyn Model<D>>;
 
     /// `aᵢ` of every particle of a chunk.
-    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
+    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>);
+
+    /// A room to evaluate it in.
+    fn room(&self) -> Room {
+        Room::new(self.scalars(), self.network())
+    }
+
+    /// Names of the parts of its force.
+    fn part_names(&self) -> &'static [&'static str];
+
+    /// One of the parts, of every particle of a chunk.
+    fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
 
     /// `∂aᵢ` at fixed weights by what every particle of a chunk and its neighbours bring; overwrites `into`.
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes);

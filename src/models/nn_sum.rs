@@ -2,7 +2,8 @@
 
 use super::scales::Units;
 use super::{
-    Constitutive, Learned, MatrixSlope, Medium, PairCotangent, PairLaw, Room, Scales, Window,
+    Constitutive, GeneralSlope, Learned, MatrixRows, Medium, PairCotangent, PairLaw, Room, Scales,
+    Window,
 };
 use crate::error::Result;
 use crate::network::Network;
@@ -76,7 +77,7 @@ impl<const D: usize> NnSum<D> {
 }
 
 impl<const D: usize> Constitutive<D> for NnSum<D> {
-    medium_and_network!();
+    medium_and_network!("nn-sum");
 
     fn sound_speed(&self, _: f64) -> f64 {
         0.0
@@ -84,7 +85,8 @@ impl<const D: usize> Constitutive<D> for NnSum<D> {
 }
 
 impl<const D: usize> PairLaw<D> for NnSum<D> {
-    type Slope<W: Wide> = MatrixSlope<W, D>;
+    type ByParameter<W: Wide> = [W; 0];
+    type Slope<W: Wide> = GeneralSlope<W, D, 0, MatrixRows>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
@@ -109,9 +111,9 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> MatrixSlope<W, D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> GeneralSlope<W, D, 0, MatrixRows> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
-        let mut slope = MatrixSlope::zero();
+        let mut slope = GeneralSlope::zero();
         for &factor in self.ends() {
             self.evaluate(pairs, factor.signum(), room);
             self.network.jacobian(room);

@@ -2,7 +2,7 @@
 
 use super::scales::Units;
 use super::{
-    Constitutive, Form, Kept, Learned, MatrixRows, Medium, Model, PairShare,
+    Constitutive, ForceOutput, Form, Kept, Learned, MatrixRows, Medium, Model, PairShare,
     Passed, Room, Scales, Slopes, Window,
 };
 use crate::error::{Error, Result};
@@ -191,7 +191,7 @@ impl<const D: usize> Node<D> {
 }
 
 impl<const D: usize> Constitutive<D> for Node<D> {
-    medium_and_network!();
+    medium_and_network!("node");
 
     fn sound_speed(&self, _: f64) -> f64 {
         0.0
@@ -203,8 +203,16 @@ impl<const D: usize> Model<D> for Node<D> {
         Box::new(self.clone())
     }
 
-    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
+    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>) {
         dispatch(ForcePass { model: self, hood, room, out });
+    }
+
+    fn part_names(&self) -> &'static [&'static str] {
+        &["network"]
+    }
+
+    fn part(&self, _: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
+        self.accelerations(hood, room, ForceOutput { accelerations: out, add: false });
     }
 
     fn slopes(
@@ -244,7 +252,7 @@ struct ForcePass<'a, const D: usize> {
     model: &'a Node<D>,
     hood: Hood<'a>,
     room: &'a mut Room,
-    out: &'a mut [Vector<f64, D>],
+    out: ForceOutput<'a, D>,
 }
 
 impl<const D: usize> Pass for ForcePass<'_, D> {
@@ -253,11 +261,13 @@ impl<const D: usize> Pass for ForcePass<'_, D> {
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { model, hood, room, out } = self;
-        for (group, accelerations) in out.chunks_mut(WIDTH).enumerate() {
+        let ForceOutput { accelerations, add } = out;
+        for (group, accelerations) in accelerations.chunks_mut(WIDTH).enumerate() {
             model.evaluate(hood, group * WIDTH, room);
             for (lane, acceleration) in accelerations.iter_mut().enumerate() {
                 for axis in 0..D {
-                    acceleration[axis] = room.output[axis].lane(lane) * model.units.force;
+                    let force = room.output[axis].lane(lane) * model.units.force;
+                    acceleration[axis] = if add { acceleration[axis] + force } else { force };
                 }
             }
         }
@@ -279,6 +289,10 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
     fn run<W: Wide>(self) {
         let Self { model, hood, kept, room, into } = self;
         into.clear(Form::Matrix);
+        // No scalar parameter has a direct part in the force.
+        let mut direct = std::mem::take(&mut room.direct);
+        direct.clear();
+        direct.resize(if kept.direct { D * (2 + model.scalars()) } else { 0 }, Lanes::ZERO);
         for first in (0..hood.near.len()).step_by(WIDTH) {
             model.evaluate(hood, first, room);
             model.network.jacobian(room);
@@ -293,9 +307,10 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
                     let rows = model.slope(&feature, (rank, lane), room);
                     into.push_one(hood.near.slot(place as usize) as u32, &rows);
                 }
-                into.close::<W, MatrixRows, D>(kept, |_| 0.0);
+                into.close::<W, MatrixRows, D>(kept, &direct, |_| 0.0);
             }
         }
+        room.direct = direct;
     }
 }
 

@@ -2,12 +2,12 @@
 
 use super::tangent::MOST_ROWS;
 use super::{
-    Kept, Learned, Medium, Model, PairCotangent, PairLaw, PairRows, PairShare, Passed, Room, Slope,
-    Slopes, store_vector,
+    ForceOutput, Form, Kept, Learned, Medium, Model, PairCotangent, PairLaw, PairRows, PairShare,
+    Passed, Room, Slope, Slopes, Slots, store_vector,
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
+use crate::scalar::{Lanes, Pass, Precision, Scalar, Singles, WIDTH, Wide, dispatch_in};
 use crate::vector::Vector;
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
@@ -15,8 +15,21 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         Box::new(self.clone())
     }
 
-    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
+    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>) {
         dispatch_in(hood.lines.precision, ForcePass { law: self, hood, room, out });
+    }
+
+    fn part_names(&self) -> &'static [&'static str] {
+        PairLaw::parts(self)
+    }
+
+    /// In plain code, which gives the bits of any instruction set.
+    fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
+        let pass = PartPass { law: self, part, hood, room, out };
+        match hood.lines.precision {
+            Precision::Double => pass.run::<Lanes>(),
+            Precision::Mixed => pass.run::<Singles>(),
+        }
     }
 
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes) {
@@ -51,7 +64,7 @@ struct ForcePass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
     room: &'a mut Room,
-    out: &'a mut [Vector<f64, D>],
+    out: ForceOutput<'a, D>,
 }
 
 impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
@@ -61,7 +74,8 @@ impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
     fn run<W: Wide>(self) {
         let Self { law, hood: Hood { lines, near, space }, room, out } = self;
         let all = W::lines(lines);
-        for (k, acceleration) in out.iter_mut().enumerate() {
+        let ForceOutput { accelerations, add } = out;
+        for (k, acceleration) in accelerations.iter_mut().enumerate() {
             near.fetch_ahead::<W>(k + AHEAD, all);
             let here = near.first + k;
             let mut sum = Vector::<W::Double, D>::zero();
@@ -71,8 +85,33 @@ impl<L: PairLaw<D>, const D: usize> Pass for ForcePass<'_, L, D> {
                 sum += widen(force);
             }
             for axis in 0..D {
-                acceleration[axis] = sum[axis].sum();
+                let sum = sum[axis].sum();
+                acceleration[axis] = if add { acceleration[axis] + sum } else { sum };
             }
+        }
+    }
+}
+
+/// One part of [`ForcePass`].
+struct PartPass<'a, L, const D: usize> {
+    law: &'a L,
+    part: usize,
+    hood: Hood<'a>,
+    room: &'a mut Room,
+    out: &'a mut [Vector<f64, D>],
+}
+
+impl<L: PairLaw<D>, const D: usize> PartPass<'_, L, D> {
+    fn run<W: Wide>(self) {
+        let Self { law, part, hood: Hood { lines, near, space }, room, out } = self;
+        for (k, acceleration) in out.iter_mut().enumerate() {
+            let mut sum = Vector::<W::Double, D>::zero();
+            let space = near.around(k, space);
+            for eight in near.neighbours(k) {
+                let batch = Batch::<W, D>::read(lines, near.first + k, eight, space);
+                sum += widen(law.part_of_force(part, &batch, room));
+            }
+            *acceleration = sum.map(|sum| sum.sum());
         }
     }
 }
@@ -105,16 +144,57 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
         into.clear(<L::Slope<W> as Slope<W, D>>::Rows::FORM);
         let Medium { smoothing, mass, .. } = law.medium();
         let mut pairs = [[Lanes::ZERO; MOST_ROWS]; WIDTH];
+        let mut direct = std::mem::take(&mut room.direct);
+        let count = if kept.direct { 2 + law.scalars() } else { 2 };
+        direct.resize(D * count, Lanes::ZERO);
         for k in 0..near.len() {
             let (slot, space) = (near.first + k, near.around(k, space));
+            direct.fill(Lanes::ZERO);
             for eight in near.neighbours(k) {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
-                law.slope(&batch, room).write(&mut pairs);
+                let slope = law.slope(&batch, room);
+                slope.write(&mut pairs);
                 into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(eight, lines.nobody(), &pairs);
+                add_direct::<W, L, D>(law, (&batch, &slope), &mut direct);
             }
             let pull = |r: f64| smoothing.gradient(r) * *mass;
-            into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, pull);
+            into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, &direct, pull);
         }
+        room.direct = direct;
+    }
+}
+
+/// Adds the derivatives of eight pairs that do not stand in their rows: `[axis]` by `ρᵢ`, by `Aᵢ`, and by each of
+/// the law's parameters where there is room for them.
+#[inline(always)]
+fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
+    law: &L,
+    (batch, slope): (&Batch<W, D>, &L::Slope<W>),
+    sums: &mut [Lanes],
+) {
+    let (scalars, parameters) = sums.split_at_mut(2 * D);
+    if <L::Slope<W> as Slope<W, D>>::Rows::FORM == Form::General {
+        for (sums, by) in scalars.chunks_exact_mut(D).zip(slope.by_own_scalars()) {
+            add_lanes(sums, by);
+        }
+    }
+    if parameters.is_empty() {
+        return;
+    }
+    let first = <L::ByParameter<W> as Slots<W>>::zero().as_ref().len();
+    for (parameter, sums) in parameters.chunks_exact_mut(D).enumerate() {
+        if parameter < first {
+            add_lanes(sums, slope.by_parameter(parameter));
+        } else if let Some(by) = law.by_later_parameter(batch, parameter) {
+            add_lanes(sums, by);
+        }
+    }
+}
+
+#[inline(always)]
+fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<W, D>) {
+    for (axis, sum) in sums.iter_mut().enumerate() {
+        *sum = (W::Double::load(sum) + by[axis].widen()).store();
     }
 }
 
@@ -173,10 +253,12 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
         // A copy of its own: numbers that nobody else can write stay in registers.
         let law = &law.clone();
         let both = law.is_antisymmetric();
-        let mut parameters = [W::Double::of(0.0); 3];
+        let mut parameters = <L::ByParameter<W::Double> as Slots<W::Double>>::zero();
+        let first = parameters.as_ref().len();
+        let later = if law.has_later_parameters() { first..law.scalars() } else { first..first };
         for k in 0..near.len() {
             let slot = near.first + k;
-            let mut sum = PairCotangent::<W::Double, D>::zero();
+            let mut sum = PairCotangent::<W::Double, D, L::ByParameter<W::Double>>::zero();
             let space = near.around(k, space);
             for (number, eight) in near.neighbours(k).enumerate() {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
@@ -191,6 +273,12 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
                 }
                 let passed = law.pullback(&batch, across, room);
                 add_own(&mut sum, &passed);
+                for parameter in later.clone() {
+                    if let Some(by) = law.by_later_parameter(&batch, parameter) {
+                        let sum = &mut room.scalars[parameter];
+                        *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
+                    }
+                }
                 if !both {
                     let first = (near.range(k).start + number) * WIDTH;
                     leave_shares(&passed, &mut into.neighbours[first..first + WIDTH]);
@@ -202,16 +290,16 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
             }
             into.scalars[k].0 += sum.stress[0].sum();
             into.scalars[k].1 += sum.density[0].sum();
-            for (total, own) in parameters.iter_mut().zip(sum.parameters) {
-                *total += own;
+            for (total, own) in parameters.as_mut().iter_mut().zip(sum.parameters.as_ref()) {
+                *total += *own;
             }
         }
-        for (total, sum) in room.physical.iter_mut().zip(parameters) {
+        for (total, sum) in room.scalars.iter_mut().zip(parameters.as_ref()) {
             *total += sum.store();
         }
         if both {
             // Every pair was met from both ends.
-            for sum in room.physical.iter_mut().chain(&mut room.weights) {
+            for sum in room.scalars.iter_mut().chain(&mut room.weights) {
                 *sum = *sum * 0.5;
             }
         }
@@ -220,23 +308,24 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
 
 /// Adds the part of a cotangent that belongs to particle `i`, and that of the parameters.
 #[inline(always)]
-fn add_own<W: Wide, const D: usize>(
-    sum: &mut PairCotangent<W::Double, D>,
-    passed: &PairCotangent<W, D>,
+fn add_own<W: Wide, P: Slots<W>, Q: Slots<W::Double>, const D: usize>(
+    sum: &mut PairCotangent<W::Double, D, Q>,
+    passed: &PairCotangent<W, D, P>,
 ) {
     sum.separation += widen(passed.separation);
     sum.velocity += widen(passed.velocity);
     sum.stress[0] += passed.stress[0].widen();
     sum.density[0] += passed.density[0].widen();
-    for (total, part) in sum.parameters.iter_mut().zip(passed.parameters) {
+    let parts = passed.parameters.as_ref();
+    for (total, part) in sum.parameters.as_mut().iter_mut().zip(parts) {
         *total += part.widen();
     }
 }
 
 /// Leaves the parts that belong to the eight particles `j`.
 #[inline(always)]
-fn leave_shares<W: Wide, const D: usize>(
-    passed: &PairCotangent<W, D>,
+fn leave_shares<W: Wide, P, const D: usize>(
+    passed: &PairCotangent<W, D, P>,
     shares: &mut [PairShare<D>],
 ) {
     let (position, velocity) = (store_vector(&-passed.separation), store_vector(&-passed.velocity));

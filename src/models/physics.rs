@@ -1,6 +1,6 @@
 //! The fully physics-informed model, Eq. (7): smoothed particle hydrodynamics itself.
 
-use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, StressSlope};
+use super::{CentralSlope, Constitutive, FluidConstants, Medium, PairCotangent, PairLaw, Room};
 use crate::network::exp;
 use crate::pairs::Batch;
 use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
@@ -16,6 +16,10 @@ use crate::vector::Vector;
 pub struct Physics<const D: usize>(pub Medium<D>);
 
 impl<const D: usize> Constitutive<D> for Physics<D> {
+    fn name(&self) -> &str {
+        "physics"
+    }
+
     fn has_stress(&self) -> bool {
         true
     }
@@ -34,17 +38,32 @@ impl<const D: usize> Constitutive<D> for Physics<D> {
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, _: &mut Room) -> StressSlope {
-        tait_stress_slope(&self.0, rho)
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        tait_stress_slope(&self.0, rho, room)
     }
 }
 
 impl<const D: usize> PairLaw<D> for Physics<D> {
-    type Slope<W: Wide> = CentralSlope<W, D>;
+    type ByParameter<W: Wide> = [W; 3];
+    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true
+    }
+
+    fn parts(&self) -> &'static [&'static str] {
+        &["pressure", "viscosity"]
+    }
+
+    #[inline(always)]
+    fn part_of_force<W: Wide>(
+        &self,
+        part: usize,
+        pairs: &Batch<W, D>,
+        _: &mut Room,
+    ) -> Vector<W, D> {
+        self.0.part_of_force(part, pairs)
     }
 
     #[inline(always)]
@@ -53,7 +72,7 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D> {
+    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; 3]> {
         self.0.slope(pairs)
     }
 
@@ -63,7 +82,7 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
         _: &mut Room,
-    ) -> PairCotangent<W, D> {
+    ) -> PairCotangent<W, D, [W; 3]> {
         self.0.pullback(pairs, force)
     }
 }
@@ -71,17 +90,25 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
 /// `P/ρ²` of Tait's fluid.
 #[inline(always)]
 pub(super) fn tait_stress<const D: usize>(medium: &Medium<D>, rho: Lanes) -> Lanes {
-    let [c, _, _, gamma, _] = medium.parameters.0;
-    state::tait_stress(rho, c, gamma)
+    let FluidConstants { c, gamma, p0, .. } = medium.fluid;
+    state::tait_stress(rho, c, gamma, p0)
 }
 
-/// Three inputs, one output: by hand, with `ρ^γ = exp(γ ln ρ)` of eight particles at once.
-pub(super) fn tait_stress_slope<const D: usize>(medium: &Medium<D>, rho: Lanes) -> StressSlope {
-    let [c, _, _, gamma, _] = medium.parameters.0;
+/// `∂A/∂ρ`, and `∂A/∂(c, γ, p₀)` into `room.stress_by`: few inputs, one output, so by hand, with
+/// `ρ^γ = exp(γ ln ρ)` of eight particles at once.
+pub(super) fn tait_stress_slope<const D: usize>(
+    medium: &Medium<D>,
+    rho: Lanes,
+    room: &mut Room,
+) -> Lanes {
+    let FluidConstants { c, gamma, p0, .. } = medium.fluid;
     let [by_density, by_c, by_gamma] = dispatch(TaitGradient { rho, c, gamma });
-    let mut slope = StressSlope { by_density, ..StressSlope::ZERO };
-    (slope.by_parameter[0], slope.by_parameter[3]) = (by_c, by_gamma);
-    slope
+    room.stress_by.fill(Lanes::ZERO);
+    if let [of_c, _, _, of_gamma, of_p0, ..] = &mut room.stress_by[..] {
+        (*of_c, *of_gamma) = (by_c, by_gamma);
+        *of_p0 = Lanes::of(1.0) / (rho * rho);
+    }
+    if p0 == 0.0 { by_density } else { by_density - Lanes::of(2.0 * p0) / (rho * rho * rho) }
 }
 
 /// `∂A/∂(ρ, c, γ)` of eight particles.

@@ -1,6 +1,5 @@
 //! A network inside a model, and the room in which one thread evaluates it.
 
-use super::Parameter;
 use crate::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
 use crate::scalar::{Lanes, Pass, Wide, dispatch};
@@ -28,8 +27,12 @@ pub struct Room {
     pub output_cotangent: Vec<Lanes>,
     /// `∂out/∂in`, `[outputs × inputs]`.
     pub jacobian: Vec<Lanes>,
-    /// `∂L/∂(c, α, β, γ, θ)`, added up lane by lane.
-    pub physical: [Lanes; Parameter::COUNT],
+    /// `∂L/∂` of each of the model's scalar parameters, added up lane by lane.
+    pub scalars: Vec<Lanes>,
+    /// `∂A/∂` of each of them, of eight particles, see [`super::Constitutive::stress_slope`].
+    pub stress_by: Vec<Lanes>,
+    /// Sums over the pairs of one particle, see [`super::Slopes`].
+    pub(super) direct: Vec<Lanes>,
     /// `∂L/∂weights`, added up lane by lane.
     pub weights: Vec<Lanes>,
     /// `∂aᵢ/∂weights` of a few particles, see [`super::Model::weight_shares`].
@@ -43,10 +46,11 @@ pub struct Room {
 }
 
 impl Room {
-    /// Room for a model with this network, or with none.
-    pub fn new(network: Option<&Learned>) -> Self {
-        let Some(Learned { shape, weights }) = network else { return Self::default() };
+    /// Room for a model with so many scalar parameters and this network, or with none.
+    pub fn new(scalars: usize, network: Option<&Learned>) -> Self {
         let zeros = |count: usize| vec![Lanes::ZERO; count];
+        let plain = Self { scalars: zeros(scalars), stress_by: zeros(scalars), ..Self::default() };
+        let Some(Learned { shape, weights }) = network else { return plain };
         Self {
             workspace: Some(Workspace::new(shape)),
             input: zeros(shape.inputs()),
@@ -55,19 +59,19 @@ impl Room {
             output_cotangent: zeros(shape.outputs()),
             jacobian: zeros(shape.inputs() * shape.outputs()),
             weights: zeros(weights.len()),
-            ..Self::default()
+            ..plain
         }
     }
 
     /// Forgets the sums over parameters.
     pub fn clear(&mut self) {
-        self.physical = [Lanes::ZERO; Parameter::COUNT];
+        self.scalars.fill(Lanes::ZERO);
         self.weights.fill(Lanes::ZERO);
     }
 
-    /// Writes the sums over the parameters, the physical ones first, as many as are asked for.
+    /// Writes the sums over the parameters, scalars first, as many as are asked for.
     pub fn write_sums(&self, into: &mut [f64]) {
-        let all = self.physical.iter().chain(&self.weights);
+        let all = self.scalars.iter().chain(&self.weights);
         into.iter_mut().zip(all).for_each(|(sum, lanes)| *sum = lanes.sum());
     }
 }

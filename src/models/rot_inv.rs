@@ -3,8 +3,7 @@
 use super::physics::{tait_stress, tait_stress_slope};
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, StressSlope,
-    Window,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Window,
 };
 use crate::error::Result;
 use crate::network::Network;
@@ -103,7 +102,7 @@ impl<const D: usize> RotInv<D> {
             by_velocity: pairs.separation * by_approach,
             by_stress: [by_i, by_j],
             by_density: W::of(0.0),
-            by_parameter: [W::of(0.0); 3],
+            by_parameter: [],
         }
     }
 }
@@ -113,11 +112,11 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
         true
     }
 
-    medium_and_network!();
+    medium_and_network!("rot-inv");
 
     /// `c`: what the network makes of other densities is not known before it has learned.
     fn sound_speed(&self, _: f64) -> f64 {
-        self.medium.parameters.0[0].abs()
+        self.medium.fluid.c.abs()
     }
 
     #[inline(always)]
@@ -126,12 +125,13 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, _: &mut Room) -> StressSlope {
-        tait_stress_slope(&self.medium, rho)
+    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
+        tait_stress_slope(&self.medium, rho, room)
     }
 }
 
 impl<const D: usize> PairLaw<D> for RotInv<D> {
+    type ByParameter<W: Wide> = [W; 0];
     type Slope<W: Wide> = CentralSlope<W, D>;
 
     #[inline(always)]

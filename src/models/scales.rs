@@ -37,7 +37,7 @@ pub(super) struct Units {
 
 impl Scales {
     pub(super) fn units<const D: usize>(&self, medium: &Medium<D>) -> Units {
-        let (c, h) = (medium.parameters.0[0], medium.smoothing.h);
+        let (c, h) = (medium.fluid.c, medium.smoothing.h);
         let stress = c * c * self.compression;
         let pull = medium.mass * (medium.smoothing.gradient(h) * h).abs();
         Units {

@@ -1,22 +1,47 @@
 //! The linearised pair force: applied to columns of parameters forwards, transposed backwards.
 
 use super::Strength;
-use super::tangent::{CentralRows, EightPairs, MatrixRows, PairRows};
+use super::tangent::{CentralRows, EightPairs, GeneralRows, PairRows};
 use crate::packed::PackedSensitivity;
 use crate::pairs::Batch;
 use crate::scalar::{Lanes, WIDTH, Wide, transposed};
 use crate::vector::Vector;
+use std::marker::PhantomData;
 
-/// The derivative of the forces of eight pairs by the states of their particles.
+/// One number for each of a law's first parameters, in registers: `[W; P]`.
+pub trait Slots<W>: Copy + AsRef<[W]> + AsMut<[W]> {
+    /// All zero.
+    fn zero() -> Self;
+}
+
+impl<W: Wide, const P: usize> Slots<W> for [W; P] {
+    #[inline(always)]
+    fn zero() -> Self {
+        [W::of(0.0); P]
+    }
+}
+
+/// The derivative of the forces of eight pairs by the states of their particles and by parameters.
 pub trait Slope<W: Wide, const D: usize> {
     /// How each of the pairs stands in memory.
     type Rows: PairRows<D>;
+    /// One number for each of the law's first parameters.
+    type ByParameter: Slots<W>;
 
     /// Puts the pairs there, one after another.
     fn write(&self, pairs: &mut EightPairs);
 
+    /// `∂f/∂ρᵢ` and `∂f/∂Aᵢ` as far as the rows do not hold them; zero by default.
+    #[inline(always)]
+    fn by_own_scalars(&self) -> [Vector<W, D>; 2] {
+        [Vector::zero(); 2]
+    }
+
+    /// `∂f` by one of the law's first parameters.
+    fn by_parameter(&self, parameter: usize) -> Vector<W, D>;
+
     /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by what they depend on.
-    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D>;
+    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, Self::ByParameter>;
 }
 
 /// The sensitivities of a particle to eight parameters, in registers.
@@ -54,7 +79,7 @@ impl<W: Wide, const D: usize> Change<W, D> {
 
 /// `∂L/∂` of what eight pairs depend on.
 #[derive(Clone, Copy, Debug)]
-pub struct PairCotangent<W, const D: usize> {
+pub struct PairCotangent<W, const D: usize, P = [W; 0]> {
     /// By `rᵢⱼ`.
     pub separation: Vector<W, D>,
     /// By `vᵢⱼ`.
@@ -63,11 +88,11 @@ pub struct PairCotangent<W, const D: usize> {
     pub stress: [W; 2],
     /// By `ρᵢ` and `ρⱼ`, at fixed stress.
     pub density: [W; 2],
-    /// By `c`, `α` and `β`, at fixed stress.
-    pub parameters: [W; 3],
+    /// By the law's first parameters, at fixed stress.
+    pub parameters: P,
 }
 
-impl<W: Wide, const D: usize> PairCotangent<W, D> {
+impl<W: Wide, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
     /// No dependence.
     #[inline(always)]
     pub fn zero() -> Self {
@@ -77,14 +102,14 @@ impl<W: Wide, const D: usize> PairCotangent<W, D> {
             velocity: Vector::zero(),
             stress: [zero; 2],
             density: [zero; 2],
-            parameters: [zero; 3],
+            parameters: P::zero(),
         }
     }
 }
 
 /// The slope of a central force `f = s rᵢⱼ`: `δf = s δrᵢⱼ + rᵢⱼ δs`, `δs` linear in everything.
 #[derive(Clone, Copy, Debug)]
-pub struct CentralSlope<W, const D: usize> {
+pub struct CentralSlope<W, const D: usize, P = [W; 0]> {
     /// `rᵢⱼ`.
     pub separation: Vector<W, D>,
     /// `s`.
@@ -97,14 +122,14 @@ pub struct CentralSlope<W, const D: usize> {
     pub by_stress: [W; 2],
     /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed stress.
     pub by_density: W,
-    /// `∂s/∂(c, α, β)` at fixed stress.
-    pub by_parameter: [W; 3],
+    /// `∂s` by the law's first parameters, at fixed stress.
+    pub by_parameter: P,
 }
 
-impl<W: Wide, const D: usize> CentralSlope<W, D> {
+impl<W: Wide, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
     /// From the gradient of a strength that depends on `r²` and `v·r`.
     #[inline(always)]
-    pub fn new(pairs: &Batch<W, D>, s: &Strength<W>, by_stress: [W; 2]) -> Self {
+    pub fn new(pairs: &Batch<W, D>, s: &Strength<W, P>, by_stress: [W; 2]) -> Self {
         let (r, v) = (pairs.separation, pairs.velocity);
         Self {
             separation: r,
@@ -138,8 +163,9 @@ pub(super) fn store_vector<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Ve
     stored
 }
 
-impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
+impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P> {
     type Rows = CentralRows;
+    type ByParameter = P;
 
     #[inline(always)]
     fn write(&self, pairs: &mut EightPairs) {
@@ -153,9 +179,6 @@ impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
         by_state[2 * D + 1] = self.by_stress[0].store();
         others[D] = self.value.store();
         others[D + 1] = self.by_stress[1].store();
-        for k in 0..3 {
-            others[D + 2 + k] = self.by_parameter[k].store();
-        }
         let (by_state, others) = (transposed::<W>(&by_state), transposed::<W>(&others));
         for (pair, (by_state, others)) in pairs.iter_mut().zip(by_state.iter().zip(others)) {
             (pair[0], pair[1]) = (by_state.store(), others.store());
@@ -163,40 +186,67 @@ impl<W: Wide, const D: usize> Slope<W, D> for CentralSlope<W, D> {
     }
 
     #[inline(always)]
-    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D> {
+    fn by_parameter(&self, parameter: usize) -> Vector<W, D> {
+        self.separation * self.by_parameter.as_ref()[parameter]
+    }
+
+    #[inline(always)]
+    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, P> {
         let along = force.dot(self.separation);
         let [by_i, by_j] = self.by_stress;
-        let [by_c, by_alpha, by_beta] = self.by_parameter;
+        let mut parameters = self.by_parameter;
+        for by in parameters.as_mut() {
+            *by = *by * along;
+        }
         PairCotangent {
             separation: force * self.value + self.by_separation * along,
             velocity: self.by_velocity * along,
             stress: [by_i * along, by_j * along],
             density: [self.by_density * along; 2],
-            parameters: [by_c * along, by_alpha * along, by_beta * along],
+            parameters,
         }
     }
 }
 
-/// The slope of a force of any direction that depends on `rᵢⱼ` and `vᵢⱼ` alone; row `a` of a matrix is
-/// the derivative of component `a`.
+/// The slope of a force of any direction that depends on anything of its pair; row `a` of a matrix is the
+/// derivative of component `a`. With [`MatrixRows`](super::MatrixRows) in place of [`GeneralRows`] densities and
+/// stresses are left out.
 #[derive(Clone, Copy, Debug)]
-pub struct MatrixSlope<W, const D: usize> {
+pub struct GeneralSlope<W, const D: usize, const P: usize = 0, R = GeneralRows> {
     /// `∂f/∂rᵢⱼ`.
     pub by_separation: [Vector<W, D>; D],
     /// `∂f/∂vᵢⱼ`.
     pub by_velocity: [Vector<W, D>; D],
+    /// `∂f/∂ρᵢ` and `∂f/∂ρⱼ`, at fixed stress.
+    pub by_density: [Vector<W, D>; 2],
+    /// `∂f/∂Aᵢ` and `∂f/∂Aⱼ`.
+    pub by_stress: [Vector<W, D>; 2],
+    /// `∂f` by the law's first parameters.
+    pub by_parameter: [Vector<W, D>; P],
+    rows: PhantomData<R>,
 }
 
-impl<W: Wide, const D: usize> MatrixSlope<W, D> {
+impl<W: Wide, R, const D: usize, const P: usize> GeneralSlope<W, D, P, R> {
     /// No dependence.
     #[inline(always)]
     pub fn zero() -> Self {
-        Self { by_separation: [Vector::zero(); D], by_velocity: [Vector::zero(); D] }
+        let none = Vector::zero();
+        Self {
+            by_separation: [none; D],
+            by_velocity: [none; D],
+            by_density: [none; 2],
+            by_stress: [none; 2],
+            by_parameter: [none; P],
+            rows: PhantomData,
+        }
     }
 }
 
-impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
-    type Rows = MatrixRows;
+impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
+    for GeneralSlope<W, D, P, R>
+{
+    type Rows = R;
+    type ByParameter = [W; P];
 
     #[inline(always)]
     fn write(&self, pairs: &mut EightPairs) {
@@ -206,6 +256,8 @@ impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
                 columns[b] = self.by_separation[a][b].store();
                 columns[D + b] = self.by_velocity[a][b].store();
             }
+            columns[2 * D] = self.by_density[1][a].store();
+            columns[2 * D + 1] = self.by_stress[1][a].store();
             let rows = transposed::<W>(&columns);
             for (pair, row) in pairs.iter_mut().zip(rows) {
                 pair[a] = row.store();
@@ -214,11 +266,28 @@ impl<W: Wide, const D: usize> Slope<W, D> for MatrixSlope<W, D> {
     }
 
     #[inline(always)]
-    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D> {
-        let mut cotangent = PairCotangent::zero();
+    fn by_own_scalars(&self) -> [Vector<W, D>; 2] {
+        [self.by_density[0], self.by_stress[0]]
+    }
+
+    #[inline(always)]
+    fn by_parameter(&self, parameter: usize) -> Vector<W, D> {
+        self.by_parameter[parameter]
+    }
+
+    #[inline(always)]
+    fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, [W; P]> {
+        let mut cotangent: PairCotangent<W, D, [W; P]> = PairCotangent::zero();
         for a in 0..D {
             cotangent.separation += self.by_separation[a] * force[a];
             cotangent.velocity += self.by_velocity[a] * force[a];
+        }
+        for end in 0..2 {
+            cotangent.density[end] = self.by_density[end].dot(force);
+            cotangent.stress[end] = self.by_stress[end].dot(force);
+        }
+        for (sum, by) in cotangent.parameters.iter_mut().zip(&self.by_parameter) {
+            *sum = by.dot(force);
         }
         cotangent
     }

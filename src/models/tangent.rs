@@ -5,7 +5,7 @@
 //! the sum: an [`OwnSlope`] for each particle. What stays with each pair is what its neighbour brings, and
 //! only pairs within `2h` are kept.
 
-use super::{Change, Kept, Parameter, load_vector, store_vector};
+use super::{Change, Kept, load_vector, store_vector};
 use crate::packed::PackedSensitivity;
 use crate::pairs::Eight;
 use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
@@ -42,23 +42,21 @@ pub trait PairRows<const D: usize>: Debug {
     );
 }
 
-/// A central pair: a row of `∂s/∂(r, v, ρ, A)`, the last of particle `i`, and a row of `rᵢⱼ`, `s`, `∂s/∂Aⱼ`
-/// and `∂s/∂(c, α, β)`.
-#[derive(Debug)]
+/// A central pair: a row of `∂s/∂(r, v, ρ, A)`, the last of particle `i`, and a row of `rᵢⱼ`, `s` and `∂s/∂Aⱼ`.
+#[derive(Clone, Copy, Debug)]
 pub struct CentralRows;
 
 /// A pair of any direction: for each component a row of its derivatives by `rᵢⱼ` and `vᵢⱼ`.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct MatrixRows;
+
+/// A pair of any direction: for each component a row of its derivatives by `rᵢⱼ`, `vᵢⱼ`, `ρⱼ` and `Aⱼ`.
+#[derive(Clone, Copy, Debug)]
+pub struct GeneralRows;
 
 /// Lane of `∂/∂ρ` in a row by the state; `∂/∂Aᵢ` is the next.
 const fn of_density(dimension: usize) -> usize {
     2 * dimension
-}
-
-/// Lane of `∂/∂c` in a row by the parameters; `∂/∂α` and `∂/∂β` follow.
-const fn of_parameters(dimension: usize) -> usize {
-    dimension + 2
 }
 
 /// `∂aᵢ` by what particle `i` itself brings, component by component.
@@ -66,8 +64,6 @@ const fn of_parameters(dimension: usize) -> usize {
 pub struct OwnSlope<W, const D: usize> {
     /// By `rᵢ`, `vᵢ`, `ρᵢ` and `Aᵢ`, lane after lane.
     by_state: Vector<W, D>,
-    /// By `c`, `α` and `β` from lane `D + 2` on.
-    by_parameter: Vector<W, D>,
     /// `Σⱼ s`, which belongs to the diagonal.
     value: f64,
 }
@@ -76,7 +72,7 @@ impl<W: Wide, const D: usize> OwnSlope<W, D> {
     /// No dependence.
     #[inline(always)]
     pub(super) fn zero() -> Self {
-        Self { by_state: Vector::zero(), by_parameter: Vector::zero(), value: 0.0 }
+        Self { by_state: Vector::zero(), value: 0.0 }
     }
 
     /// Puts the sum of the strengths on the diagonal: by whole registers, since numbers taken out of one would
@@ -104,21 +100,6 @@ impl<const D: usize> OwnSlope<Lanes, D> {
             sum[axis] += part;
         }
     }
-
-    /// What the parameters bring by themselves.
-    #[inline(always)]
-    fn add_parameters<W: Wide>(
-        &self,
-        directions: &[Lanes; Parameter::COUNT],
-        sum: &mut Vector<W, D>,
-    ) {
-        for axis in 0..D {
-            for (k, direction) in directions.iter().take(3).enumerate() {
-                let by = self.by_parameter[axis].lane(of_parameters(D) + k);
-                sum[axis] += W::load(direction) * by;
-            }
-        }
-    }
 }
 
 impl<const D: usize> PairRows<D> for CentralRows {
@@ -128,10 +109,9 @@ impl<const D: usize> PairRows<D> for CentralRows {
     #[inline(always)]
     fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
         let [by_state, others] = rows else { return };
-        let (state, parameters) = (W::load(by_state), W::load(others));
+        let state = W::load(by_state);
         for axis in 0..D {
             own.by_state[axis] += state * others.lane(axis);
-            own.by_parameter[axis] += parameters * others.lane(axis);
         }
         own.value += others.lane(D);
     }
@@ -209,6 +189,48 @@ impl<const D: usize> PairRows<D> for MatrixRows {
     }
 }
 
+impl<const D: usize> PairRows<D> for GeneralRows {
+    const FORM: Form = Form::General;
+    const ROWS: usize = D;
+
+    /// By `rᵢ` and `vᵢ`; those by `ρᵢ` and `Aᵢ` come from [`Slope::by_own_scalars`](super::Slope::by_own_scalars).
+    #[inline(always)]
+    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
+        let mut state = Lanes::ZERO;
+        (0..2 * D).for_each(|lane| state.set_lane(lane, 1.0));
+        let state = W::load(&state);
+        for (axis, row) in rows.iter().enumerate().take(D) {
+            own.by_state[axis] += W::load(row) * state;
+        }
+    }
+
+    #[inline(always)]
+    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+        MatrixRows::add_other(rows, other, sum);
+        let (density, stress) = (W::load(&other.density), W::load(&other.stress));
+        for axis in 0..D {
+            sum[axis] += density * rows[axis].lane(of_density(D));
+            sum[axis] += stress * rows[axis].lane(of_density(D) + 1);
+        }
+    }
+
+    /// Of the neighbour only what its stress owes to the parameters directly remains, `δAⱼ − A'ⱼ δρⱼ`.
+    #[inline(always)]
+    fn leave_alone<W: Wide>(
+        rows: &mut [Lanes],
+        by_density: f64,
+        _: impl Fn(f64) -> f64,
+        _: &mut OwnSlope<W, D>,
+    ) {
+        for row in rows {
+            let by_stress = row.lane(of_density(D) + 1);
+            *row = Lanes::ZERO;
+            row.set_lane(of_density(D), -(by_stress * by_density));
+            row.set_lane(of_density(D) + 1, by_stress);
+        }
+    }
+}
+
 /// Which [`PairRows`] a chunk's pairs have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Form {
@@ -217,14 +239,18 @@ pub enum Form {
     Central,
     /// [`MatrixRows`].
     Matrix,
+    /// [`GeneralRows`].
+    General,
 }
 
 /// The linearised force on some particles: what serves every block of parameters.
 #[derive(Clone, Debug, Default)]
 pub struct Slopes {
     form: Form,
-    /// Of each particle its [`OwnSlope`]: the rows by the state, then those by the parameters.
+    /// Of each particle its [`OwnSlope`], row by row.
     own: Vec<Lanes>,
+    /// Of each particle `∂a` by the law's parameters themselves, at fixed state: `[parameter][axis]`.
+    direct: Vec<f64>,
     /// Where each particle's pairs start; one more at the end.
     start: Vec<u32>,
     /// The neighbour of each pair.
@@ -239,6 +265,7 @@ impl Slopes {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         size_of::<Lanes>() * (self.own.capacity() + self.rows.capacity())
+            + 8 * self.direct.capacity()
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
 
@@ -247,6 +274,7 @@ impl Slopes {
     pub(super) fn clear(&mut self, form: Form) {
         self.form = form;
         self.own.clear();
+        self.direct.clear();
         self.start.clear();
         self.start.push(0);
         self.filled = 0;
@@ -290,11 +318,13 @@ impl Slopes {
         self.filled += 1;
     }
 
-    /// Ends a particle: `pull` is `m G` at a distance.
+    /// Ends a particle: `pull` is `m G` at a distance, `direct` what does not stand in the rows, `[axis]` by `ρᵢ`, by
+    /// `Aᵢ` and by each parameter; empty where none of it is needed.
     #[inline(always)]
     pub(super) fn close<W: Wide, R: PairRows<D>, const D: usize>(
         &mut self,
         kept: Kept<'_>,
+        direct: &[Lanes],
         pull: impl Fn(f64) -> f64,
     ) {
         let first = self.start.last().map_or(0, |&first| first as usize);
@@ -309,32 +339,52 @@ impl Slopes {
             }
         }
         own.complete();
-        self.own.extend_from_slice(&store_vector(&own.by_state).0);
-        self.own.extend_from_slice(&store_vector(&own.by_parameter).0);
+        let (scalars, parameters) = direct.split_at((2 * D).min(direct.len()));
+        let mut rows = store_vector(&own.by_state).0;
+        if R::FORM == Form::General {
+            for (k, sum) in scalars.iter().enumerate() {
+                rows[k % D].set_lane(of_density(D) + k / D, sum.sum());
+            }
+        }
+        self.own.extend_from_slice(&rows);
+        self.direct.extend(parameters.iter().map(|sum| sum.sum()));
         self.start.push(self.filled as u32);
     }
 
     /// What the `k`-th particle itself brings.
     #[inline(always)]
     fn own<const D: usize>(&self, k: usize) -> OwnSlope<Lanes, D> {
-        let mut own = OwnSlope {
-            by_state: Vector([Lanes::ZERO; D]),
-            by_parameter: Vector([Lanes::ZERO; D]),
-            value: 0.0,
-        };
-        let rows = &self.own[2 * D * k..2 * D * (k + 1)];
-        own.by_state.0.copy_from_slice(&rows[..D]);
-        own.by_parameter.0.copy_from_slice(&rows[D..]);
+        let mut own = OwnSlope { by_state: Vector([Lanes::ZERO; D]), value: 0.0 };
+        own.by_state.0.copy_from_slice(&self.own[D * k..D * (k + 1)]);
         own
     }
 
-    /// `δa` of these particles, from slot `first` on, for one block of parameters; added to `out`. The
+    /// Adds what the parameters bring to `δa` of the `k`-th particle by themselves.
+    #[inline(always)]
+    fn add_direct<W: Wide, const D: usize>(
+        &self,
+        k: usize,
+        directions: &[Lanes],
+        sum: &mut Vector<W, D>,
+    ) {
+        let count = D * directions.len();
+        let rows = self.direct[k * count..(k + 1) * count].chunks_exact(D);
+        for (direction, by) in directions.iter().zip(rows) {
+            let direction = W::load(direction);
+            for axis in 0..D {
+                sum[axis] += direction * by[axis];
+            }
+        }
+    }
+
+    /// `δa` of these particles, from slot `first` on, for one block of parameters, which `directions` says for each of the
+    /// law's; added to `out`. The
     /// sensitivities of the block that is `next`, if there is one, are asked for meanwhile.
     pub fn add_tangents<const D: usize>(
         &self,
         first: usize,
         [sensitivities, next]: [&[PackedSensitivity<D>]; 2],
-        directions: &[Lanes; Parameter::COUNT],
+        directions: &[Lanes],
         out: &mut [Vector<Lanes, D>],
     ) {
         dispatch(BlockPass { slopes: self, first, sensitivities, next, directions, out });
@@ -347,7 +397,7 @@ struct BlockPass<'a, const D: usize> {
     first: usize,
     sensitivities: &'a [PackedSensitivity<D>],
     next: &'a [PackedSensitivity<D>],
-    directions: &'a [Lanes; Parameter::COUNT],
+    directions: &'a [Lanes],
     out: &'a mut [Vector<Lanes, D>],
 }
 
@@ -359,6 +409,7 @@ impl<const D: usize> Pass for BlockPass<'_, D> {
         match self.slopes.form {
             Form::Central => self.sweep::<W::Double, CentralRows>(),
             Form::Matrix => self.sweep::<W::Double, MatrixRows>(),
+            Form::General => self.sweep::<W::Double, GeneralRows>(),
         }
     }
 }
@@ -367,7 +418,8 @@ impl<const D: usize> BlockPass<'_, D> {
     #[inline(always)]
     fn sweep<W: Wide, R: PairRows<D>>(self) {
         let Self { slopes, first, sensitivities, next, directions, out } = self;
-        let explicit = directions[..3].iter().any(|direction| *direction != Lanes::ZERO);
+        let explicit = !slopes.direct.is_empty()
+            && directions.iter().any(|direction| *direction != Lanes::ZERO);
         for (k, out) in out.iter_mut().enumerate() {
             if let Some(next) = next.get(first + k) {
                 next.fetch::<W>();
@@ -376,7 +428,7 @@ impl<const D: usize> BlockPass<'_, D> {
             let own = slopes.own::<D>(k);
             own.add_to(&Change::load(&sensitivities[first + k]), &mut sum);
             if explicit {
-                own.add_parameters(directions, &mut sum);
+                slopes.add_direct(k, directions, &mut sum);
             }
             let pairs = slopes.start[k] as usize..slopes.start[k + 1] as usize;
             let rows =

@@ -8,15 +8,15 @@
 //! | [`Rmsprop`] | gradient | as Adam, where its momentum overshoots |
 
 mod adam;
+mod coordinates;
 mod lbfgs;
 mod levenberg_marquardt;
-mod products;
 mod rmsprop;
 
 pub use adam::Adam;
+pub use coordinates::Coordinates;
 pub use lbfgs::{Lbfgs, LineSearch};
 pub use levenberg_marquardt::LevenbergMarquardt;
-pub use products::Products;
 pub use rmsprop::Rmsprop;
 
 /// A first-order optimiser: moves parameters against a gradient.

@@ -301,6 +301,12 @@ pub struct Conservation {
     /// Courant number `dt (c + max |v|) / h`.
     #[prost(double, required, tag = "11")]
     pub courant: f64,
+    /// Names of the parts of all terms that accelerate particles.
+    #[prost(string, repeated, tag = "12")]
+    pub terms: Vec<String>,
+    /// `Σ m a` of each of them, one vector after another.
+    #[prost(double, repeated, tag = "13")]
+    pub momentum_terms: Vec<f64>,
 }
 
 /// `whirls.Values`: named numbers at one step, such as the errors of several models (any topic of its

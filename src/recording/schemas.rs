@@ -181,6 +181,8 @@ fn conservation() -> DescriptorProto {
         many("momentum_viscosity", 9, Type::Double),
         many("momentum_forcing", 10, Type::Double),
         one("courant", 11, Type::Double),
+        many("terms", 12, Type::String),
+        many("momentum_terms", 13, Type::Double),
     ];
     message("Conservation", fields)
 }
@@ -314,7 +316,9 @@ mod tests {
             momentum: one.clone(),
             momentum_pressure: one.clone(),
             momentum_viscosity: one.clone(),
-            momentum_forcing: one,
+            momentum_forcing: one.clone(),
+            terms: vec!["t".into()],
+            momentum_terms: one,
             ..Default::default()
         };
         assert_described(Schema::Conservation, &kept.encode_to_vec(), &[]);

@@ -54,7 +54,7 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         dimension: scene.dimension,
         box_length: scene.fluid.box_length,
         speed_scale,
-        parameters: learned.map(|p| p.name().into_owned()).collect(),
+        parameters: learned.map(|p| p.to_string()).collect(),
         metadata: metadata.map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
     }
 }

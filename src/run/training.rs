@@ -4,7 +4,7 @@ use super::{begin_recording, frame, run_info, run_recorded, truth_from_recording
 use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::learn::{Evaluation, Iteration, Learner, Outcome};
-use crate::models::Parameter;
+use crate::parameters::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
 use crate::scene::{Chosen, Learn, Scene};
 use crate::sensitivity::SHORTEN;
@@ -44,7 +44,7 @@ impl<const D: usize> Lesson<D> {
             }
             None => {
                 let parameters = scene.parameters();
-                let known = learn.parameters.iter().map(|&p| parameters.get(p)).collect();
+                let known = learn.parameters.iter().filter_map(|p| parameters.get(p)).collect();
                 (Truth::generate(scene, (learn.after, learn.frames))?, Some(known))
             }
         };
@@ -148,7 +148,7 @@ impl<const D: usize> Training<'_, D> {
     fn record_truth(&self, learner: &Learner<D>) -> Result<Recorder> {
         let Self { scene, lesson, record, .. } = self;
         let mut info = run_info(scene, "train");
-        info.parameters = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+        info.parameters = learner.columns().iter().map(Parameter::to_string).collect();
         let start = lesson.truth.states[0].time;
         let mut recorder = begin_recording(record, (&info, scene), start)?;
         let every = lesson.learn.every;
@@ -252,18 +252,18 @@ impl<const D: usize> Training<'_, D> {
     ) -> Result<Option<f64>> {
         let Self { scene, lesson, .. } = self;
         let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
-        flow.set_learned(learner.columns(), &outcome.evaluation.parameters);
+        flow.set_learned(learner.columns(), &outcome.evaluation.parameters)?;
         let steps = (lesson.learn.steps(), &scene.record);
         run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
         // A learned equation of state can be held against the true one.
         let learned = flow.model().has_stress_network() && lesson.known.is_some();
         let seen = lesson.truth.densities_seen();
-        Ok(learned.then(|| pressure_error(&flow, &scene.parameters(), seen)))
+        Ok(learned.then(|| pressure_error(&flow, &scene.fluid.constants(), seen)))
     }
 
     fn report(&self, learner: &Learner<D>, outcome: &Outcome, seconds: Seconds) -> TrainingReport {
         let named = |values: &[f64]| {
-            let names = learner.columns().iter().map(|p: &Parameter| p.name().into_owned());
+            let names = learner.columns().iter().map(Parameter::to_string);
             names.zip(values.iter().copied()).collect::<BTreeMap<_, _>>()
         };
         let evaluation = &outcome.evaluation;
@@ -314,9 +314,9 @@ fn growth_warning(iteration: &Iteration<'_>, steady: f64) -> Option<String> {
 
 /// What is learned, in words.
 pub fn what<const D: usize>(learner: &Learner<D>) -> String {
-    let (weights, physical): (Vec<Parameter>, Vec<Parameter>) =
-        learner.columns().iter().partition(|p| matches!(p, Parameter::Weight(_)));
-    let mut names: Vec<String> = physical.iter().map(|p| p.name().into_owned()).collect();
+    let (weights, physical): (Vec<&Parameter>, Vec<&Parameter>) =
+        learner.columns().iter().partition(|p| p.is_weight());
+    let mut names: Vec<String> = physical.iter().map(|p| p.to_string()).collect();
     if !weights.is_empty() {
         names.push(format!("{} weights", weights.len()));
     }
@@ -329,7 +329,7 @@ pub fn what<const D: usize>(learner: &Learner<D>) -> String {
 /// [`Error::Input`] where that recording learned something else.
 pub fn earlier_guess<const D: usize>(path: &Path, learner: &Learner<D>) -> Result<Vec<f64>> {
     let earlier = Recording::open(path)?;
-    let names: Vec<String> = learner.columns().iter().map(|p| p.name().into_owned()).collect();
+    let names: Vec<String> = learner.columns().iter().map(Parameter::to_string).collect();
     let steps = earlier.train_steps()?;
     match steps.last() {
         Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),

@@ -3,7 +3,8 @@
 use super::{Forcing, Learn, Optimiser, Scene, Speed, Weights};
 use crate::error::{Error, Result};
 use crate::losses::FEWEST_NODES;
-use crate::models::{ModelChoice, Parameter};
+use crate::models::ModelChoice;
+use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
@@ -18,14 +19,7 @@ impl Scene {
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
-            let learns_theta = learn.parameters.contains(&Parameter::Theta);
-            let forced = matches!(self.forcing, Forcing::Deterministic { .. });
-            requirements.push((
-                forced || !learns_theta,
-                "learn.parameters",
-                "theta only where forcing.kind is \"deterministic\"",
-                "theta without such a forcing".to_owned(),
-            ));
+            self.must_know(origin, learn)?;
         }
         match requirements.into_iter().find(|(holds, ..)| !holds) {
             None => match self.warm_up() {
@@ -39,6 +33,30 @@ impl Scene {
                 "change it in the scene or with --set",
             )),
         }
+    }
+
+    /// Refuses learned parameters that no term of the scene has.
+    fn must_know(&self, origin: &str, learn: &Learn) -> Result<()> {
+        let known = self.parameters();
+        for (key, list) in [("parameters", &learn.parameters), ("unbounded", &learn.unbounded)] {
+            let Some(unknown) = list.iter().find(|name| known.place(name).is_none()) else {
+                continue;
+            };
+            let names: Vec<&str> = known.specs().iter().map(|spec| spec.name.name()).collect();
+            let remedy = match unknown {
+                theta if *theta == Parameter::THETA => {
+                    "theta belongs to a forcing of kind \"deterministic\": set it, or leave theta out"
+                }
+                _ => "check the spelling, or name the term that it belongs to",
+            };
+            return Err(Error::input(
+                format!("{origin}: learn.{key}"),
+                format!("parameters of this scene: {}", names.join(", ")),
+                unknown,
+                remedy,
+            ));
+        }
+        Ok(())
     }
 
     fn accuracy_requirements(&self) -> Vec<Requirement> {
@@ -117,6 +135,13 @@ impl Scene {
             (positive(f.gamma), "fluid.gamma", "a positive exponent", show(f.gamma)),
             (f.alpha >= 0.0 && f.alpha.is_finite(), "fluid.alpha", "zero or more", show(f.alpha)),
             (f.beta >= 0.0 && f.beta.is_finite(), "fluid.beta", "zero or more", show(f.beta)),
+            (f.p0.is_finite(), "fluid.p0", "a number", show(f.p0)),
+            (
+                self.terms.values().flat_map(|values| values.values()).all(|x| x.is_finite()),
+                "terms",
+                "finite values of all parameters",
+                format!("{:?}", self.terms),
+            ),
         ]
     }
 
@@ -173,7 +198,7 @@ fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
 }
 
 fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
-    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == **name);
+    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == *name);
     let unknown = learn.guess.keys().find(|name| !known(name));
     let mut sorted = learn.parameters.clone();
     sorted.sort_unstable();
@@ -191,7 +216,7 @@ fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
             sorted.len() == learn.parameters.len()
                 && (learn.model != ModelChoice::Physics || !learn.parameters.is_empty()),
             "learn.parameters",
-            "at least one of c, alpha, beta, gamma, theta where the model has no network, each once",
+            "at least one parameter where the model has no network, each once",
             format!("{:?}", learn.parameters),
         ),
         (

@@ -1,6 +1,7 @@
 //! The part of a scene that says what is learned, and how.
 
-use crate::models::{ModelChoice, Parameter};
+use crate::models::ModelChoice;
+use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient, Storage};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -12,9 +13,14 @@ pub struct Learn {
     /// The model that predicts; all of its network's weights are learned.
     #[serde(default)]
     pub model: ModelChoice,
-    /// The physical parameters to learn: any of `c`, `alpha`, `beta`, `gamma`, `theta`.
+    /// The parameters to learn, by name: `c`, `alpha`, `beta`, `gamma`, `p0`, `theta`, and those of the scene's other
+    /// terms, such as `nu` of a laminar viscosity or `drag.k` of a term of the caller's own.
     #[serde(default)]
     pub parameters: Vec<Parameter>,
+    /// Those of them that the search may take out of their domain: by default `c` and `gamma` stay positive, `alpha` and
+    /// `beta` zero or more.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unbounded: Vec<Parameter>,
     /// Where the search starts; drawn uniformly from `(0, 1)` for a parameter not named here.
     #[serde(default)]
     pub guess: BTreeMap<String, f64>,

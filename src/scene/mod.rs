@@ -5,22 +5,26 @@
 
 mod accuracy;
 mod check;
+mod guests;
 mod learn;
 mod read;
 
 pub use accuracy::{Chosen, Speed};
+pub use guests::{Guests, Values};
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
 pub use crate::kernel::KernelName;
-use crate::models::{ModelChoice, Parameters};
+use crate::models::{FluidConstants, ModelChoice};
+use crate::parameters::{Parameter, ParameterSpec, Parameters};
 pub use crate::scalar::Precision;
 use crate::sensitivity::Gradient;
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// A whole scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,6 +64,13 @@ pub struct Scene {
     /// What stirs the flow.
     #[serde(default)]
     pub forcing: Forcing,
+    /// Terms of a caller's own by name, with the values of their parameters; their code is added by
+    /// [`Scene::add_force`] and its like.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub terms: BTreeMap<String, Values>,
+    /// Their code.
+    #[serde(skip)]
+    pub guests: Guests,
     /// How time passes.
     pub time: Time,
     /// What is learned; a scene without it only simulates.
@@ -95,6 +106,17 @@ pub struct Fluid {
     pub beta: f64,
     /// Exponent `γ` of the equation of state.
     pub gamma: f64,
+    /// Background pressure `p₀`, added to that of the equation of state.
+    #[serde(default, skip_serializing_if = "defaults::is_zero")]
+    pub p0: f64,
+}
+
+impl Fluid {
+    /// The constants of the fluid.
+    pub fn constants(&self) -> FluidConstants {
+        let Self { c, alpha, beta, gamma, p0, .. } = *self;
+        FluidConstants { c, alpha, beta, gamma, p0 }
+    }
 }
 
 /// The initial state: a lattice with its first particle in the corner, shaken.
@@ -209,6 +231,10 @@ mod defaults {
     pub(super) fn box_length() -> f64 {
         std::f64::consts::TAU
     }
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+    pub(super) fn is_zero(x: &f64) -> bool {
+        x.to_bits() == 0
+    }
     pub(super) fn one() -> f64 {
         1.0
     }
@@ -287,13 +313,20 @@ impl Scene {
         self.time.dt.unwrap_or(self.time.courant * self.fluid.smoothing_length / self.fluid.c)
     }
 
-    /// The physical parameters that make the truth.
-    pub fn parameters(&self) -> Parameters<f64> {
-        let theta = match self.forcing {
-            Forcing::Deterministic { theta, .. } => theta,
-            _ => 0.0,
-        };
-        let Fluid { c, alpha, beta, gamma, .. } = self.fluid;
-        Parameters([c, alpha, beta, gamma, theta])
+    /// The parameters that make the truth, but for weights: those of the fluid, of the forcing and of the terms that the
+    /// scene names.
+    pub fn parameters(&self) -> Parameters {
+        let mut specs = self.fluid.constants().specs().to_vec();
+        if let Forcing::Deterministic { theta, .. } = self.forcing {
+            specs.push(ParameterSpec::new(Parameter::THETA, theta));
+        }
+        for (term, values) in &self.terms {
+            let own = |(name, &value): (&String, &f64)| {
+                ParameterSpec::new(Parameter::from(format!("{term}.{name}")), value)
+            };
+            specs.extend(values.iter().map(own));
+        }
+        // One owner cannot disagree with itself.
+        Parameters::merged(&[specs]).map(|(all, _)| all).unwrap_or_default()
     }
 }

@@ -26,12 +26,12 @@ pub enum Storage {
     Bytes(usize),
 }
 
-/// A loss with its gradient by all physical parameters.
+/// A loss with its gradient by all parameters.
 #[derive(Clone, Debug)]
 pub struct AdjointGradient {
     /// The loss, part by part.
     pub loss: LossSum,
-    /// `∂L/∂(c, α, β, γ, θ)` and by the network's weights; see [`crate::models::Parameter::index`].
+    /// `∂L/∂` of every parameter of the flow, in the order of [`Flow::parameters`].
     pub gradient: Vec<f64>,
     /// Steps run forward in all, repetitions included.
     pub steps_run: u64,

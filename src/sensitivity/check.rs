@@ -2,7 +2,6 @@
 
 use crate::error::Result;
 use crate::learn::{Evaluation, Learner};
-use crate::models::Parameter;
 
 /// The slope of a loss along one direction, both ways.
 #[derive(Clone, Copy, Debug)]
@@ -32,9 +31,9 @@ pub fn compare_component<const D: usize>(
 ) -> Result<ComparedSlope> {
     let mut direction = vec![0.0; evaluation.gradient.len()];
     direction[component] = 1.0;
-    let size = match learner.columns()[component] {
-        Parameter::Weight(_) => 1.0,
-        _ => evaluation.parameters[component].abs().max(1e-3),
+    let size = match learner.columns()[component].is_weight() {
+        true => 1.0,
+        false => evaluation.parameters[component].abs().max(1e-3),
     };
     compare_along(learner, evaluation, (&direction, size), window)
 }

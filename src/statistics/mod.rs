@@ -11,55 +11,45 @@ pub use spectrum::energy_spectrum;
 pub use structure::{Structure, structure_functions};
 
 use crate::flow::{Flow, Rows};
-use crate::models::{Parameter, Parameters};
+use crate::models::FluidConstants;
 use crate::recording::Conservation;
 use crate::state::{internal_energies, tait};
-use crate::systems::acceleration::{Law, model_accelerations};
-use crate::systems::forcing::external_forces;
-use crate::systems::neighbours::{CHUNK, Neighbours};
-use crate::systems::particles::{Cloud, Rooms};
+use crate::systems::neighbours::CHUNK;
+use crate::systems::term::{Contribution, ContributionKind};
 use crate::vector::Vector;
-use bevy_ecs::prelude::World;
 use rayon::prelude::*;
 
-/// `Σ m a` over all particles, per system: zero to round-off where the system conserves momentum.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// `Σ m a` over all particles, term by term: zero to round-off where a term conserves momentum.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MomentumRates<const D: usize> {
-    /// Of the pressure, or of what a model has learned in its place.
+    /// Of every part of every term.
+    pub contributions: Vec<Contribution<D>>,
+    /// Of the pressure, or of what a model has learned in its place: the first part of the model.
     pub pressure: Vector<f64, D>,
-    /// Of the viscosity; zero where a model has none.
+    /// Of the viscosity: the second part of the model, and the pair laws added to it.
     pub viscosity: Vector<f64, D>,
-    /// Of the forcing.
+    /// Of the forces on each particle.
     pub forcing: Vector<f64, D>,
-    /// `Σ m |a|` of all three: what round-off is measured against.
+    /// `Σ m |a|` of all: what round-off is measured against.
     pub scale: f64,
 }
 
-/// `Σ m a` of pressure, viscosity and forcing as the cloud stands, by the very loops that move the
-/// particles: pressure with `α = β = 0`, viscosity what is missing to the whole.
-pub(crate) fn momentum_rates<const D: usize>(world: &World) -> MomentumRates<D> {
-    let law = &*world.resource::<Law<D>>().0;
-    let cloud = world.resource::<Cloud<D>>();
-    let pairs = cloud.pairs(world.resource::<Neighbours<D>>());
-    let rooms = world.resource::<Rooms>();
-    let mut inviscid = law.boxed();
-    let mut parameters: Parameters<f64> = *law.parameters();
-    parameters.set(Parameter::Alpha, 0.0);
-    parameters.set(Parameter::Beta, 0.0);
-    inviscid.set_parameters(parameters);
+/// `Σ m a` of every term as the cloud stands, by the laws that move the particles, part by part.
+pub(crate) fn momentum_rates<const D: usize>(flow: &Flow<D>) -> MomentumRates<D> {
     let mut rates = MomentumRates::default();
-    let mut total = |accelerations: &[Vector<f64, D>]| {
-        rates.scale += law.mass() * accelerations.iter().map(|a| a.norm()).sum::<f64>();
-        momentum(law.mass(), accelerations)
-    };
-    let mut pressed = vec![Vector::zero(); cloud.len()];
-    let mut viscous = pressed.clone();
-    model_accelerations(pairs, (&*inviscid, rooms), &mut pressed);
-    model_accelerations(pairs, (law, rooms), &mut viscous);
-    viscous.iter_mut().zip(&pressed).for_each(|(whole, pressed)| *whole -= *pressed);
-    let (pressure, viscosity) = (total(&pressed), total(&viscous));
-    let forcing = total(&external_forces::<D>(world));
-    MomentumRates { pressure, viscosity, forcing, ..rates }
+    for term in flow.terms() {
+        for found in term.contributions(flow.world()) {
+            let sum = match found.kind {
+                ContributionKind::Pressure => &mut rates.pressure,
+                ContributionKind::Viscosity => &mut rates.viscosity,
+                ContributionKind::Forcing => &mut rates.forcing,
+            };
+            *sum += found.rate;
+            rates.scale += found.scale;
+            rates.contributions.push(found);
+        }
+    }
+    rates
 }
 
 /// `Σ m v` (or `Σ m a`).
@@ -77,18 +67,18 @@ pub fn eddy_time<const D: usize>(velocities: &[Vector<f64, D>], box_length: f64)
     box_length / (std::f64::consts::TAU * (square / (count * D as f64)).sqrt())
 }
 
-/// The largest difference of a flow's pressure from Tait's with `parameters`, over the densities from
+/// The largest difference of a flow's pressure from Tait's with these constants, over the densities from
 /// `lowest` to `highest`, as a share of the largest pressure there.
 pub fn pressure_error<const D: usize>(
     flow: &Flow<D>,
-    parameters: &Parameters<f64>,
+    fluid: &FluidConstants,
     (lowest, highest): (f64, f64),
 ) -> f64 {
-    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
+    let FluidConstants { c, gamma, p0, .. } = *fluid;
     let (mut apart, mut largest) = (0.0_f64, 0.0_f64);
     for k in 0..=200 {
         let rho = lowest + (highest - lowest) * f64::from(k) / 200.0;
-        let truth = tait(rho, c, gamma);
+        let truth = tait(rho, c, gamma) + p0;
         apart = apart.max((flow.pressure(rho) - truth).abs());
         largest = largest.max(truth.abs());
     }
@@ -107,14 +97,14 @@ pub(crate) fn conservation_of<const D: usize>(
     rows: &Rows<'_, D>,
     by_system: bool,
 ) -> Conservation {
-    let parameters = flow.parameters();
-    let (c, gamma) = (parameters.get(Parameter::C), parameters.get(Parameter::Gamma));
+    let FluidConstants { c, gamma, .. } = flow.model().medium().fluid;
     let (sums, mass) = (Sums::of(rows, (c, gamma)), flow.mass());
     let (kinetic, fastest) = (0.5 * mass * sums.squares, sums.largest_square.sqrt());
     let rates = by_system.then(|| flow.momentum_rates());
     let rate = |rate: fn(&MomentumRates<D>) -> Vector<f64, D>| {
         rates.iter().flat_map(|rates| rate(rates).0).collect()
     };
+    let terms = || rates.iter().flat_map(|rates| &rates.contributions);
     Conservation {
         step: flow.steps(),
         time: flow.time(),
@@ -126,6 +116,8 @@ pub(crate) fn conservation_of<const D: usize>(
         momentum_pressure: rate(|rates| rates.pressure),
         momentum_viscosity: rate(|rates| rates.viscosity),
         momentum_forcing: rate(|rates| rates.forcing),
+        terms: terms().map(|found| found.name.clone()).collect(),
+        momentum_terms: terms().flat_map(|found| found.rate.0).collect(),
         courant: flow.dt() * (c + fastest) / flow.smoothing_length(),
     }
 }

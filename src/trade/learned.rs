@@ -149,7 +149,7 @@ fn priced(
 fn worst(scene: &Scene, learned: &[f64]) -> f64 {
     let truth = scene.parameters();
     let known = scene.learn.iter().flat_map(|learn| &learn.parameters);
-    let known: Vec<f64> = known.map(|&parameter| truth.get(parameter)).collect();
+    let known: Vec<f64> = known.filter_map(|parameter| truth.get(parameter)).collect();
     if known.len() != learned.len() {
         return f64::NAN;
     }

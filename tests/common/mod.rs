@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use whirls::flow::State;
 use whirls::forcing::Power;
+use whirls::parameters::Parameter;
 use whirls::scene::{Forcing, KernelName};
 use whirls::space::PeriodicBox;
 use whirls::systems::verlet::Step;
@@ -112,6 +113,20 @@ pub(crate) fn two_particles<const D: usize>(length: f64, apart: f64) -> State<D>
     let near = Vector([0.5 * apart; D]);
     let (slow, fast) = (Vector([0.25; D]), Vector([-0.5; D]));
     State { time: 0.0, positions: vec![near, far], velocities: vec![fast, slow] }
+}
+
+/// The value of a parameter of the truth.
+pub(crate) fn true_value(scene: &Scene, parameter: &Parameter) -> f64 {
+    scene.parameters().get(parameter).unwrap()
+}
+
+/// Multiplies `c, α, β, γ, θ` by factors, as far as a flow has them.
+pub(crate) fn scale_parameters<const D: usize>(flow: &mut Flow<D>, factors: [f64; 5]) {
+    for (parameter, factor) in Parameter::PHYSICAL.iter().zip(factors) {
+        if let Some(value) = flow.parameters().get(parameter) {
+            flow.set_learned(&[parameter.clone()], &[value * factor]).unwrap();
+        }
+    }
 }
 
 /// A flow from a state, started.

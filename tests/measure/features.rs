@@ -8,7 +8,7 @@ mod common;
 use common::{Arguments, Run, in_turn, learn};
 use whirls::Flow;
 use whirls::flow::{Differentiation, State};
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::recording::{self, Recorder};
 use whirls::run::{run_info, run_recorded};
 use whirls::scene::{Forcing, Scene};
@@ -60,7 +60,7 @@ impl<const D: usize> Setting<D> {
 
     /// The same, compared with what was observed and carrying sensitivities to so many parameters.
     fn learned(&self, parameters: usize, observed: bool) -> Run<'_> {
-        let columns = Parameter::ALL[..parameters].to_vec();
+        let columns = Parameter::PHYSICAL[..parameters].to_vec();
         let by = Differentiation { parameters: columns, coupling: Coupling::Full };
         let by = (parameters > 0).then_some(&by);
         let observations = observed.then(|| self.observations.clone());

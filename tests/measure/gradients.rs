@@ -7,7 +7,8 @@ mod common;
 
 use common::{Arguments, Run, Setting, Took, bytes_of, in_turn, learn};
 use whirls::flow::Differentiation;
-use whirls::models::{ModelChoice, Parameter};
+use whirls::models::ModelChoice;
+use whirls::parameters::Parameter;
 use whirls::scalar::WIDTH;
 use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
 use whirls::{Flow, Scene};
@@ -83,8 +84,8 @@ impl Contestant {
         let flow = Flow::<3>::build(&scene, &setting.truth.states[0], None, None).unwrap();
         let weights = flow.weights().len();
         let learned: Vec<Parameter> = match weights {
-            0 => Parameter::ALL.to_vec(),
-            _ => (0..weights as u32).map(Parameter::Weight).collect(),
+            0 => Parameter::PHYSICAL.to_vec(),
+            _ => (0..weights).map(Parameter::weight).collect(),
         };
         let mut columns: Vec<usize> = match weights {
             0 => vec![1, 4, 5],
@@ -205,8 +206,10 @@ fn run_of(flow: Flow<3>, setting: &Setting) -> Run<'_> {
 
 /// With other physical parameters than the truth's, so that there is something to differentiate.
 fn off_the_truth(mut flow: Flow<3>) -> Flow<3> {
-    let mut guess = flow.parameters();
-    guess.0.iter_mut().zip([0.8, 0.7, 1.3, 0.75, 0.9]).for_each(|(x, factor)| *x *= factor);
-    flow.set_parameters(guess);
+    for (parameter, factor) in Parameter::PHYSICAL.iter().zip([0.8, 0.7, 1.3, 0.75, 0.9]) {
+        if let Some(value) = flow.parameters().get(parameter) {
+            flow.set_learned(&[parameter.clone()], &[value * factor]).expect("it has it");
+        }
+    }
     flow
 }

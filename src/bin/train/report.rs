@@ -1,7 +1,7 @@
 //! What `train` ends with, in words.
 
 use crate::common::say;
-use whirls::models::Parameter;
+use whirls::parameters::Parameter;
 use whirls::run::{Losses, TrainingReport};
 
 /// Prints a report in words.
@@ -25,9 +25,8 @@ pub(crate) fn describe(report: &TrainingReport) {
         let parts = parts.iter().map(|(name, loss)| format!("{name} {loss:.2e}"));
         say(format!("  {}", parts.collect::<Vec<_>>().join(", ")));
     }
-    let physical = Parameter::ALL.map(|p| p.name());
-    let weights = report.parameters.keys().filter(|name| !physical.contains(&name.as_str().into()));
-    match weights.count() {
+    let is_weight = |name: &str| Parameter::from(name.to_owned()).is_weight();
+    match report.parameters.keys().filter(|name| is_weight(name)).count() {
         0 => {}
         count => say(format!("  {} with {count} weights", report.model)),
     }
@@ -35,7 +34,7 @@ pub(crate) fn describe(report: &TrainingReport) {
         say(format!("  its pressure is within {:.3} % of the true one", 100.0 * error));
     }
     for (name, value) in &report.parameters {
-        if !physical.contains(&name.as_str().into()) {
+        if is_weight(name) {
             continue;
         }
         let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {

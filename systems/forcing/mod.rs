@@ -1,0 +1,23 @@
+//! Forcing as terms: appendix A.3 over the cloud, with tangents and pullbacks.
+
+mod deterministic;
+mod stochastic;
+
+pub use deterministic::DeterministicForcing;
+pub use stochastic::StochasticForcing;
+
+use super::term::Term;
+use crate::scene::{Forcing, Scene};
+
+/// The terms of a scene's forcing: none where there is none.
+pub fn terms<const D: usize>(scene: &Scene) -> Vec<Box<dyn Term<D>>> {
+    match scene.forcing {
+        Forcing::None => Vec::new(),
+        Forcing::Deterministic { theta, power } => {
+            vec![Box::new(DeterministicForcing::new(theta, power))]
+        }
+        Forcing::Stochastic { interval, strength } => {
+            vec![Box::new(StochasticForcing::new(scene.seed, interval, strength))]
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! Stochastic forcing: random large-scale modes, redrawn at fixed intervals.
+
+use crate::forcing::{Mode, stochastic_modes};
+use crate::pairs::CHUNK;
+use crate::scalar::Lanes;
+use crate::systems::acceleration::Laws;
+use crate::systems::neighbours::Neighbours;
+use crate::systems::particles::{AdjointCloud, Cloud, SensitivityCloud};
+use crate::systems::term::{Contribution, ContributionKind, Stage, Term};
+use crate::systems::verlet::{Clock, Integrator};
+use crate::systems::{Needs, Occasion, Phase};
+use crate::vector::Vector;
+use bevy_ecs::prelude::*;
+use rayon::prelude::*;
+
+/// Term: stochastic forcing, [`stochastic_modes`].
+#[derive(Resource, Clone, Debug)]
+pub struct StochasticForcing {
+    /// Seed of the phases.
+    pub seed: u64,
+    /// Time after which the phases are drawn anew: not per step, so that the injected power does
+    /// not depend on `dt`.
+    pub interval: f64,
+    /// Factor on the paper's amplitudes.
+    pub strength: f64,
+    modes: Vec<Mode>,
+    drawn: Option<u64>,
+    /// Memory of [`force_stochastically`].
+    forces: Vec<[f64; 3]>,
+}
+
+impl StochasticForcing {
+    /// Forcing with phases that change every `interval`.
+    pub fn new(seed: u64, interval: f64, strength: f64) -> Self {
+        Self { seed, interval, strength, modes: Vec::new(), drawn: None, forces: Vec::new() }
+    }
+
+    fn draw(&mut self, dimension: usize, length: f64, time: f64) {
+        // Half a step of slack in time, so that round-off cannot move a redraw by a step.
+        let interval = (time / self.interval).floor() as u64;
+        if self.drawn != Some(interval) {
+            self.modes = stochastic_modes(dimension, length, self.seed, interval);
+            self.drawn = Some(interval);
+        }
+    }
+
+    fn force<const D: usize>(&self, position: [f64; 3]) -> Vector<f64, D> {
+        let mut force = Vector::zero();
+        for mode in &self.modes {
+            let wave = self.strength * mode.angle(position).cos();
+            (0..D).for_each(|axis| force[axis] += mode.amplitude[axis] * wave);
+        }
+        force
+    }
+
+    /// The force on each particle less their mean, in cell order.
+    fn find_forces<const D: usize>(&self, cloud: &Cloud<D>, into: &mut Vec<[f64; 3]>) {
+        let particles = cloud.particles().par_iter().with_min_len(CHUNK);
+        particles.map(|p| self.force::<D>(p.position).to_3d()).collect_into_vec(into);
+        let mut mean = Vector::<f64, D>::zero();
+        into.iter().for_each(|&force| mean += Vector::from_3d(force));
+        mean = mean * (1.0 / cloud.len().max(1) as f64);
+        into.iter_mut().for_each(|f| *f = (Vector::<f64, D>::from_3d(*f) - mean).to_3d());
+    }
+
+    fn tangent<const D: usize>(
+        &self,
+        position: [f64; 3],
+        change: Vector<Lanes, D>,
+    ) -> Vector<Lanes, D> {
+        let mut force = Vector::zero();
+        for mode in &self.modes {
+            let mut angle = Lanes::ZERO;
+            (0..D).for_each(|axis| angle += change[axis] * mode.k[axis]);
+            let wave = angle * (-self.strength * mode.angle(position).sin());
+            (0..D).for_each(|axis| force[axis] += wave * mode.amplitude[axis]);
+        }
+        force
+    }
+}
+
+impl<const D: usize> Term<D> for StochasticForcing {
+    fn name(&self) -> String {
+        "stochastic forcing".to_owned()
+    }
+
+    fn insert(&self, _: &[usize], world: &mut World) {
+        world.insert_resource(self.clone());
+    }
+
+    fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
+        let stage = || {
+            Stage::new(Phase::Forcing, force_stochastically::<D>)
+                .tangent(force_stochastically_tangent::<D>)
+                .pullback(force_stochastically_pullback::<D>)
+        };
+        if occasion.has_forces() { vec![stage()] } else { Vec::new() }
+    }
+
+    fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
+        let (cloud, mut forces) = (world.resource::<Cloud<D>>(), Vec::new());
+        world.get_resource::<Self>().unwrap_or(self).find_forces(cloud, &mut forces);
+        let forces: Vec<Vector<f64, D>> = forces.into_iter().map(Vector::from_3d).collect();
+        let mass = world.resource::<Laws<D>>().model().mass();
+        let kind = ContributionKind::Forcing;
+        vec![Contribution::of(Term::<D>::name(self), kind, mass, &forces)]
+    }
+}
+
+/// System: adds the stochastic force less its mean over the particles, which would push the whole
+/// flow.
+fn force_stochastically<const D: usize>(
+    clock: Res<Clock>,
+    integrator: Res<Integrator>,
+    neighbours: Res<Neighbours<D>>,
+    mut forcing: ResMut<StochasticForcing>,
+    mut cloud: ResMut<Cloud<D>>,
+) {
+    let time = clock.time_at(clock.evaluated, integrator.dt);
+    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    let mut forces = std::mem::take(&mut forcing.forces);
+    forcing.find_forces(&cloud, &mut forces);
+    for (a, &force) in cloud.acceleration.iter_mut().zip(&forces) {
+        *a += Vector::from_3d(force);
+    }
+    forcing.forces = forces;
+}
+
+/// System: the tangent of [`force_stochastically`].
+fn force_stochastically_tangent<const D: usize>(
+    forcing: Res<StochasticForcing>,
+    cloud: Res<Cloud<D>>,
+    mut sensitivities: ResMut<SensitivityCloud<D>>,
+) {
+    let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
+    let each = 1.0 / cloud.len().max(1) as f64;
+    for block in &mut sensitivities.blocks {
+        let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
+        let changes: Vec<Vector<Lanes, D>> =
+            lines.map(|(change, p)| forcing.tangent(p.position, change.position)).collect();
+        let mut mean = Vector::zero();
+        if full {
+            for &change in &changes {
+                mean += change;
+            }
+        }
+        for (a, &change) in block.acceleration.iter_mut().zip(&changes) {
+            let shared = if full { mean } else { change };
+            *a += change - shared.map(|x| x * each);
+        }
+    }
+}
+
+/// System: the pullback of [`force_stochastically`].
+fn force_stochastically_pullback<const D: usize>(
+    (clock, integrator): (Res<Clock>, Res<Integrator>),
+    neighbours: Res<Neighbours<D>>,
+    mut forcing: ResMut<StochasticForcing>,
+    cloud: Res<Cloud<D>>,
+    mut adjoint: ResMut<AdjointCloud<D>>,
+) {
+    let time = clock.time_at(clock.evaluated, integrator.dt);
+    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    let AdjointCloud { packed, position, .. } = &mut *adjoint;
+    let mut mean = Vector::<f64, D>::zero();
+    packed.iter().for_each(|line| mean += Vector::from_3d(line.force));
+    mean = mean * (1.0 / cloud.len().max(1) as f64);
+    for ((p, line), out) in cloud.particles().iter().zip(packed).zip(position) {
+        let across = Vector::<f64, D>::from_3d(line.force) - mean;
+        for mode in &forcing.modes {
+            let amplitude = Vector::<f64, D>::from_3d(mode.amplitude);
+            let wave = -forcing.strength * mode.angle(p.position).sin() * amplitude.dot(across);
+            *out += Vector::from_3d(mode.k) * wave;
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The trajectory loss as a term: every particle against its true self.
+
+use super::{FrameLoss, LossPart, Seen};
+use crate::losses::{SquareSum, StateAdjoint, trajectory_adjoint, trajectory_loss};
+use crate::packed::PackedSensitivity;
+use crate::vector::Vector;
+
+/// [`trajectory_loss`].
+#[derive(Clone, Copy, Debug)]
+pub struct TrajectoryLoss;
+
+/// `(r̂, v̂)` of the particle in a slot.
+fn truth<const D: usize>(seen: &Seen<'_, D>) -> impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>) {
+    let (frame, rows) = (seen.frame, &seen.neighbours.cells.row_of_slot);
+    |slot| {
+        let row = rows[slot] as usize;
+        (frame.positions[row], frame.velocities[row])
+    }
+}
+
+impl<const D: usize> FrameLoss<D> for TrajectoryLoss {
+    fn name(&self) -> &'static str {
+        "trajectory"
+    }
+
+    fn empty(&self, blocks: usize) -> LossPart {
+        LossPart::Squares(SquareSum::new(blocks))
+    }
+
+    fn accumulate(
+        &self,
+        seen: &Seen<'_, D>,
+        blocks: &[&[PackedSensitivity<D>]],
+        sum: &mut LossPart,
+    ) {
+        let LossPart::Squares(sum) = sum else { return };
+        let weight = (seen.neighbours.space, seen.observations.trajectory);
+        sum.merge(&trajectory_loss(seen.cloud.particles(), blocks, truth(seen), weight));
+    }
+
+    fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {
+        let weight = (seen.neighbours.space, seen.observations.trajectory);
+        Some(trajectory_adjoint(seen.cloud.particles(), truth(seen), weight))
+    }
+}

@@ -1,0 +1,167 @@
+//! All schedules of a World, derived from one list of terms.
+
+use super::term::{Stage, Systems, Term};
+use super::{Needs, Occasion, Phase, Program};
+use crate::error::{Error, Result};
+use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::{
+    InternedSystemSet, LogLevel, ScheduleBuildSettings, SingleThreadedExecutor,
+};
+
+/// Terms in the order in which those of one phase run.
+pub type Terms<const D: usize> = [Box<dyn Term<D>>];
+
+/// The parts of [`Phase::Refresh`]: the phases of a force evaluation, once more.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Refresh(Phase);
+
+/// The schedules of a World.
+pub struct Programs {
+    /// [`Program::Start`].
+    pub start: Schedule,
+    /// [`Program::Advance`].
+    pub advance: Schedule,
+    /// Those of a World that can be run backwards.
+    pub backward: Option<Backward>,
+}
+
+/// The schedules by which a World comes back.
+pub struct Backward {
+    /// [`Program::Prepare`].
+    pub prepare: Schedule,
+    /// [`Program::Retreat`].
+    pub retreat: Schedule,
+    /// [`Program::Return`].
+    pub back_to_start: Schedule,
+}
+
+impl Backward {
+    /// All of them.
+    pub fn all_mut(&mut self) -> [&mut Schedule; 3] {
+        [&mut self.prepare, &mut self.retreat, &mut self.back_to_start]
+    }
+}
+
+impl Programs {
+    /// The schedules of some terms: forwards in the order of phases, each tangent after its system; backwards the
+    /// pullbacks of the same systems, in reverse.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a gradient is asked for and a term lacks a derivative; it names the term.
+    pub fn of<const D: usize>(terms: &Terms<D>, needs: &Needs) -> Result<Self> {
+        let step = needs.occasions_of_a_step();
+        for &occasion in [Occasion::Start].iter().chain(step) {
+            terms.iter().try_for_each(|term| must_be_differentiable(&**term, occasion, needs))?;
+        }
+        let backward = || Backward {
+            prepare: forwards(Program::Prepare, &[Occasion::Restore], terms, needs),
+            retreat: backwards(Program::Retreat, step, terms, needs),
+            back_to_start: backwards(Program::Return, &[Occasion::Start], terms, needs),
+        };
+        Ok(Self {
+            start: forwards(Program::Start, &[Occasion::Start], terms, needs),
+            advance: forwards(Program::Advance, step, terms, needs),
+            backward: needs.adjoint.then(backward),
+        })
+    }
+}
+
+/// Refuses a term that lacks a derivative which a gradient needs.
+fn must_be_differentiable<const D: usize>(
+    term: &dyn Term<D>,
+    occasion: Occasion,
+    needs: &Needs,
+) -> Result<()> {
+    let mut lacking = term.stages(occasion, needs).into_iter().filter_map(|s| s.lacks(needs));
+    let Some(derivative) = lacking.next() else { return Ok(()) };
+    let remedy = match derivative {
+        "tangent" => "give its stage one with Stage::tangent, or set learn.gradient to \"adjoint\"",
+        _ => "give its stage one with Stage::pullback, or set learn.gradient to \"forward\"",
+    };
+    Err(Error::input(
+        format!("term {}", term.name()),
+        format!("a {derivative}, which this gradient passes through"),
+        "none",
+        remedy,
+    ))
+}
+
+/// An empty schedule in which any two systems that touch the same data must have an order.
+fn empty(program: Program) -> Schedule {
+    let mut schedule = Schedule::new(program);
+    schedule.set_executor(SingleThreadedExecutor::new());
+    schedule.set_build_settings(ScheduleBuildSettings {
+        ambiguity_detection: LogLevel::Error,
+        ..ScheduleBuildSettings::new()
+    });
+    schedule
+}
+
+/// The set in which a phase of an occasion runs.
+fn set_of(occasion: Occasion, phase: Phase) -> InternedSystemSet {
+    match occasion {
+        Occasion::Refresh => Refresh(phase).intern(),
+        Occasion::Start | Occasion::Step | Occasion::Restore => phase.intern(),
+    }
+}
+
+/// Systems one after another.
+fn in_a_row(systems: impl IntoIterator<Item = Systems>) -> Option<Systems> {
+    systems.into_iter().reduce(|first, second| (first, second).chain())
+}
+
+fn forwards<const D: usize>(
+    program: Program,
+    occasions: &[Occasion],
+    terms: &Terms<D>,
+    needs: &Needs,
+) -> Schedule {
+    let mut schedule = empty(program);
+    for pair in Phase::ALL.windows(2) {
+        schedule.configure_sets(pair[0].before(pair[1]));
+        schedule.configure_sets(Refresh(pair[0]).before(Refresh(pair[1])));
+    }
+    for phase in Phase::ALL {
+        schedule.configure_sets(Refresh(phase).in_set(Phase::Refresh));
+    }
+    for &occasion in occasions {
+        let stages = terms.iter().flat_map(|term| term.stages(occasion, needs));
+        let mut stages: Vec<Stage> = stages.collect();
+        for phase in Phase::ALL {
+            let own = stages.extract_if(.., |stage| stage.phase() == phase);
+            let own = own.filter_map(|stage| stage.into_forward(needs.sensitivities));
+            if let Some(systems) = in_a_row(own.collect::<Vec<_>>()) {
+                schedule.add_systems(systems.in_set(set_of(occasion, phase)));
+            }
+        }
+    }
+    schedule
+}
+
+fn backwards<const D: usize>(
+    program: Program,
+    occasions: &[Occasion],
+    terms: &Terms<D>,
+    needs: &Needs,
+) -> Schedule {
+    let mut schedule = empty(program);
+    for pair in Phase::ALL.windows(2) {
+        schedule.configure_sets(pair[0].after(pair[1]));
+        schedule.configure_sets(Refresh(pair[0]).after(Refresh(pair[1])));
+    }
+    for phase in Phase::ALL {
+        schedule.configure_sets(Refresh(phase).in_set(Phase::Refresh));
+    }
+    for &occasion in occasions {
+        let stages = terms.iter().flat_map(|term| term.stages(occasion, needs));
+        let mut stages: Vec<Stage> = stages.collect();
+        for phase in Phase::ALL {
+            let own = stages.extract_if(.., |stage| stage.phase() == phase);
+            let own: Vec<Systems> = own.filter_map(Stage::into_pullback).collect();
+            if let Some(systems) = in_a_row(own.into_iter().rev()) {
+                schedule.add_systems(systems.in_set(set_of(occasion, phase)));
+            }
+        }
+    }
+    schedule
+}
