@@ -5,7 +5,7 @@ use super::neighbours::Neighbours;
 use super::particles::{Cloud, SensitivityCloud};
 use super::tape::Tape;
 use super::verlet::Clock;
-use crate::kernel::KernelName;
+use crate::kernel::AnyKernel;
 use crate::losses::{
     GradientSum, IncrementDensities, Mesh, Points, SquareSum, StateAdjoint, field_adjoint,
     field_loss, field_value, statistical_adjoint, statistical_loss, trajectory_adjoint,
@@ -208,7 +208,7 @@ fn points<'a, const D: usize>(
     medium: &'a Medium<D>,
     neighbours: &'a Neighbours<D>,
     cloud: &'a Cloud<D>,
-) -> Points<'a, KernelName, D> {
+) -> Points<'a, AnyKernel, D> {
     Points {
         packed: cloud.particles(),
         cells: &neighbours.cells,

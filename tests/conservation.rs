@@ -10,7 +10,7 @@ use common::{
 };
 use proptest::prelude::*;
 use whirls::Scene;
-use whirls::kernel::{KernelName, Smoothing};
+use whirls::kernel::{AnyKernel, KernelName, Smoothing};
 use whirls::models::{Medium, Parameters};
 use whirls::pairs::Pair;
 use whirls::state;
@@ -72,8 +72,10 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     scene.time.courant = 0.1;
     let state = shaken::<D>(&scene);
     let mut flow = started(&scene, &state);
-    let smoothing = Smoothing::<KernelName, D>::of(kernel, scene.fluid.smoothing_length);
-    let medium = Medium { mass: flow.mass(), smoothing, parameters: scene.parameters() };
+    let smoothing =
+        Smoothing::<AnyKernel, D>::of(kernel.in_dimension(D), scene.fluid.smoothing_length);
+    let medium =
+        Medium { mass: flow.mass(), smoothing: smoothing.clone(), parameters: scene.parameters() };
     let [c, _, _, gamma, _] = medium.parameters.0;
     let stress = |rho: f64| state::stress(state::tait(rho, c, gamma), rho);
     let densities = flow.densities();
@@ -203,7 +205,7 @@ fn viscosity_alone_only_takes_energy<const D: usize>() {
 }
 
 fn medium<const D: usize>(kernel: KernelName, h: f64, parameters: Parameters<f64>) -> Medium<D> {
-    Medium { mass: 0.1, smoothing: Smoothing::of(kernel, h), parameters }
+    Medium { mass: 0.1, smoothing: Smoothing::of(kernel.in_dimension(D), h), parameters }
 }
 
 proptest! {

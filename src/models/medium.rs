@@ -1,7 +1,7 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
 use super::{CentralSlope, PairCotangent, Parameters};
-use crate::kernel::{KernelName, Smoothing};
+use crate::kernel::{AnyKernel, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::scalar::{Scalar, Wide};
 use crate::scene::Scene;
@@ -14,7 +14,7 @@ pub struct Medium<const D: usize> {
     /// Mass `m` of every particle.
     pub mass: f64,
     /// The kernel at the scene's smoothing length.
-    pub smoothing: Smoothing<KernelName, D>,
+    pub smoothing: Smoothing<AnyKernel, D>,
     /// `c, α, β, γ, θ`.
     pub parameters: Parameters<f64>,
 }
@@ -42,7 +42,7 @@ impl<const D: usize> Medium<D> {
         let fluid = &scene.fluid;
         Self {
             mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
-            smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
+            smoothing: Smoothing::of(fluid.kernel.in_dimension(D), fluid.smoothing_length),
             parameters: scene.parameters(),
         }
     }

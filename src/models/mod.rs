@@ -108,7 +108,7 @@ pub use tangent::{CentralRows, EightPairs, Form, MatrixRows, OwnSlope, PairRows,
 pub use window::Window;
 
 use crate::error::{Error, Result};
-use crate::kernel::{KernelName, Smoothing};
+use crate::kernel::{AnyKernel, Smoothing};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{Batch, Hood};
 use crate::scalar::{Lanes, Wide};
@@ -265,7 +265,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 
     /// The kernel at the scene's smoothing length.
-    fn smoothing(&self) -> &Smoothing<KernelName, D> {
+    fn smoothing(&self) -> &Smoothing<AnyKernel, D> {
         &self.medium().smoothing
     }
 

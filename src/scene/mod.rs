@@ -14,7 +14,7 @@ pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
-pub use crate::kernel::KernelName;
+pub use crate::kernel::{KernelChoice, KernelName};
 use crate::models::{ModelChoice, Parameters};
 pub use crate::scalar::Precision;
 use crate::sensitivity::Gradient;
@@ -86,7 +86,7 @@ pub struct Fluid {
     pub smoothing_length: f64,
     /// The kernel.
     #[serde(default)]
-    pub kernel: KernelName,
+    pub kernel: KernelChoice,
     /// Sound speed `c`.
     pub c: f64,
     /// Linear viscosity `α`.
