@@ -153,7 +153,8 @@ pub fn velocity_field<const D: usize>(
     state: &State<D>,
     densities: &[f64],
 ) -> Vec<Vector<f64, D>> {
-    let smoothing = Smoothing::<_, D>::of(scene.fluid.kernel, scene.fluid.smoothing_length);
+    let kernel = scene.fluid.kernel.in_dimension(D);
+    let smoothing = Smoothing::<_, D>::of(kernel, scene.fluid.smoothing_length);
     let space = PeriodicBox { length: scene.fluid.box_length };
     let mut cells = Cells::default();
     cells.sort(&state.positions, space, smoothing.support());

@@ -10,7 +10,7 @@ use common::{
 };
 use proptest::prelude::*;
 use whirls::Scene;
-use whirls::kernel::{KernelName, Smoothing};
+use whirls::kernel::{AnyKernel, KernelName, Smoothing};
 use whirls::models::{FluidConstants, Medium};
 use whirls::pairs::Pair;
 use whirls::state;
@@ -72,8 +72,10 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     scene.time.courant = 0.1;
     let state = shaken::<D>(&scene);
     let mut flow = started(&scene, &state);
-    let smoothing = Smoothing::<KernelName, D>::of(kernel, scene.fluid.smoothing_length);
-    let medium = Medium { mass: flow.mass(), smoothing, fluid: scene.fluid.constants() };
+    let smoothing =
+        Smoothing::<AnyKernel, D>::of(kernel.in_dimension(D), scene.fluid.smoothing_length);
+    let fluid = scene.fluid.constants();
+    let medium = Medium { mass: flow.mass(), smoothing: smoothing.clone(), fluid };
     let FluidConstants { c, gamma, .. } = medium.fluid;
     let stress = |rho: f64| state::stress(state::tait(rho, c, gamma), rho);
     let densities = flow.densities();
@@ -203,7 +205,7 @@ fn viscosity_alone_only_takes_energy<const D: usize>() {
 }
 
 fn medium<const D: usize>(kernel: KernelName, h: f64, fluid: FluidConstants) -> Medium<D> {
-    Medium { mass: 0.1, smoothing: Smoothing::of(kernel, h), fluid }
+    Medium { mass: 0.1, smoothing: Smoothing::of(kernel.in_dimension(D), h), fluid }
 }
 
 proptest! {

@@ -74,6 +74,7 @@ impl Plain {
                 let w = u.powi(4) * (1.0 + 2.0 * q);
                 (sigma, w, -2.0 * u.powi(3) * (1.0 + 2.0 * q) + 2.0 * u.powi(4))
             }
+            KernelName::Learnable(_) => unreachable!("kernels of tables are tests of their own"),
             KernelName::WendlandC4 => {
                 let sigma = if flat { 9.0 / (4.0 * PI) } else { 495.0 / (256.0 * PI) };
                 let p = 1.0 + 3.0 * q + 35.0 / 12.0 * q.powi(2);

@@ -1,7 +1,7 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
 use super::{CentralSlope, PairCotangent};
-use crate::kernel::{KernelName, Smoothing};
+use crate::kernel::{AnyKernel, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::parameters::{Coordinate, Domain, Parameter, ParameterSpec};
 use crate::scalar::{Scalar, Wide};
@@ -54,7 +54,7 @@ pub struct Medium<const D: usize> {
     /// Mass `m` of every particle.
     pub mass: f64,
     /// The kernel at the scene's smoothing length.
-    pub smoothing: Smoothing<KernelName, D>,
+    pub smoothing: Smoothing<AnyKernel, D>,
     /// The constants of the fluid.
     pub fluid: FluidConstants,
 }
@@ -82,7 +82,7 @@ impl<const D: usize> Medium<D> {
         let fluid = &scene.fluid;
         Self {
             mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
-            smoothing: Smoothing::of(fluid.kernel, fluid.smoothing_length),
+            smoothing: Smoothing::of(fluid.kernel.in_dimension(D), fluid.smoothing_length),
             fluid: fluid.constants(),
         }
     }

@@ -50,7 +50,7 @@ pub use tangent::{
 pub use window::Window;
 
 use crate::error::{Error, Result};
-use crate::kernel::{KernelName, Smoothing};
+use crate::kernel::{AnyKernel, Smoothing};
 use crate::packed::PackedAdjoint;
 use crate::pairs::{Batch, Hood};
 use crate::parameters::ParameterSpec;
@@ -201,7 +201,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 
     /// The kernel at the scene's smoothing length.
-    fn smoothing(&self) -> &Smoothing<KernelName, D> {
+    fn smoothing(&self) -> &Smoothing<AnyKernel, D> {
         &self.medium().smoothing
     }
 

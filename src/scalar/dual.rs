@@ -1,6 +1,6 @@
 //! Dual numbers: a value with its gradient in `P` directions (forward-mode differentiation).
 
-use super::{Scalar, operators_with_f64};
+use super::{Scalar, Tabulated, operators_with_f64};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// `value + Σₚ gradientₚ εₚ` with `εₚ εₛ = 0`: any law over [`Scalar`] evaluated at a dual number gives
@@ -73,6 +73,16 @@ impl<T: Scalar, const P: usize> Scalar for Dual<T, P> {
             value: pick(yes.value, no.value),
             gradient: std::array::from_fn(|p| pick(yes.gradient[p], no.gradient[p])),
         }
+    }
+    #[inline(always)]
+    fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N] {
+        let values = self.value.tabulated::<F, N>(table, order);
+        let slopes = self.value.tabulated::<F, N>(table, order + 1);
+        let mut found = [self; N];
+        for (found, (value, slope)) in found.iter_mut().zip(values.into_iter().zip(slopes)) {
+            *found = self.chain(value, slope);
+        }
+        found
     }
 }
 

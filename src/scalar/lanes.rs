@@ -1,7 +1,7 @@
 //! Eight numbers that move together: the SIMD direction of every hot loop.
 
 use super::wide::{reading_of, separation_of};
-use super::{Scalar, Wide, operators_with_f64};
+use super::{Scalar, Tabulated, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -120,6 +120,10 @@ impl Scalar for Lanes {
     #[inline(always)]
     fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
         in_every_lane!(|L| if a.0[L] < b.0[L] { yes.0[L] } else { no.0[L] })
+    }
+    #[inline(always)]
+    fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N] {
+        table.at_eight(&self, order)
     }
 }
 

@@ -10,6 +10,7 @@ mod dual;
 mod lanes;
 mod sift;
 mod singles;
+mod tabulated;
 mod wide;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -18,6 +19,7 @@ pub use dual::Dual;
 pub use lanes::{Lanes, WIDTH};
 pub use sift::Window;
 pub use singles::Singles;
+pub use tabulated::Tabulated;
 pub use wide::{
     Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set, transposed,
 };
@@ -61,6 +63,9 @@ pub trait Scalar:
     fn powf(self, y: Self) -> Self;
     /// `yes` where `a < b`, otherwise `no`; both are computed, and a NaN in `a` or `b` chooses `no`.
     fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self;
+    /// `N` successive derivatives of a tabulated function at `x`, first the one of the given order; the
+    /// function itself is the one of order zero.
+    fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N];
 
     /// The smaller of two numbers.
     #[inline(always)]
@@ -103,6 +108,10 @@ impl Scalar for f64 {
     #[inline(always)]
     fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
         if a < b { yes } else { no }
+    }
+    #[inline(always)]
+    fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N] {
+        table.at(self, order)
     }
 }
 

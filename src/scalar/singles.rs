@@ -1,7 +1,7 @@
 //! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
 
 use super::wide::{FAR, unit};
-use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
+use super::{Lanes, Scalar, Tabulated, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -58,6 +58,15 @@ impl Scalar for Singles {
     #[inline(always)]
     fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self {
         in_every_lane!(|l| if a.0[l] < b.0[l] { yes.0[l] } else { no.0[l] })
+    }
+    #[inline(always)]
+    fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N] {
+        let found = table.at_eight::<N>(&self.widen(), order);
+        let mut narrow = [self; N];
+        for (narrow, wide) in narrow.iter_mut().zip(found) {
+            *narrow = Self::narrow(wide);
+        }
+        narrow
     }
 }
 

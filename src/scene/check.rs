@@ -22,10 +22,13 @@ impl Scene {
             self.must_know(origin, learn)?;
         }
         match requirements.into_iter().find(|(holds, ..)| !holds) {
-            None => match self.warm_up() {
-                Some(before) => before.check(&format!("{origin}: learn.warm_up")),
-                None => Ok(()),
-            },
+            None => {
+                self.fluid.kernel.check(&format!("{origin}: fluid.kernel"), self.dimension)?;
+                match self.warm_up() {
+                    Some(before) => before.check(&format!("{origin}: learn.warm_up")),
+                    None => Ok(()),
+                }
+            }
             Some((_, key, expected, found)) => Err(Error::input(
                 format!("{origin}: {key}"),
                 expected,

@@ -16,7 +16,7 @@ pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
 use crate::forcing::Power;
-pub use crate::kernel::KernelName;
+pub use crate::kernel::{KernelChoice, KernelName};
 use crate::models::{FluidConstants, ModelChoice};
 use crate::parameters::{Parameter, ParameterSpec, Parameters};
 pub use crate::scalar::Precision;
@@ -97,7 +97,7 @@ pub struct Fluid {
     pub smoothing_length: f64,
     /// The kernel.
     #[serde(default)]
-    pub kernel: KernelName,
+    pub kernel: KernelChoice,
     /// Sound speed `c`.
     pub c: f64,
     /// Linear viscosity `α`.

@@ -1,7 +1,7 @@
 //! The field loss as a term: the smoothed velocity on a mesh against the truth's.
 
 use super::{FrameLoss, LossPart, Seen};
-use crate::kernel::KernelName;
+use crate::kernel::AnyKernel;
 use crate::losses::{Points, SquareSum, StateAdjoint, field_adjoint, field_loss, field_value};
 use crate::packed::PackedSensitivity;
 
@@ -9,7 +9,7 @@ use crate::packed::PackedSensitivity;
 #[derive(Clone, Copy, Debug)]
 pub struct FieldLoss;
 
-fn points<'a, const D: usize>(seen: &Seen<'a, D>) -> Points<'a, KernelName, D> {
+fn points<'a, const D: usize>(seen: &Seen<'a, D>) -> Points<'a, AnyKernel, D> {
     Points {
         packed: seen.cloud.particles(),
         cells: &seen.neighbours.cells,

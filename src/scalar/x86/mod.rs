@@ -11,7 +11,7 @@
 use super::sift::{LANES_OF, Window};
 use super::singles::SMALLEST_SINGLE;
 use super::wide::{FAR, reading_of, separation_of, unit};
-use super::{Lanes, Scalar, WIDTH, Wide, operators_with_f64};
+use super::{Lanes, Scalar, Tabulated, WIDTH, Wide, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -107,6 +107,15 @@ macro_rules! through_memory {
         #[inline(always)]
         fn powf(self, y: Self) -> Self {
             Self::load(&self.store().powf(y.store()))
+        }
+        #[inline(always)]
+        fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N] {
+            let found = table.at_eight::<N>(&self.store(), order);
+            let mut here = [self; N];
+            for (here, found) in here.iter_mut().zip(&found) {
+                *here = Self::load(found);
+            }
+            here
         }
         /// As the plain one: `self < other`, and the other where one is not a number.
         #[inline(always)]

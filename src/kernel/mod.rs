@@ -1,0 +1,168 @@
+//! Smoothing kernels `W(r; h)` of support `2h`, Eq. (12).
+//!
+//! With `q = r/h` every kernel here is `W = σ h⁻ᵈ w(q)`; a law needs three functions of it:
+//! `W` itself, `G = W'(r)/r` (so that `∇ᵢWᵢⱼ = G rᵢⱼ`) and `H = G'(r)/r` (so that
+//! `δG = H rᵢⱼ·δrᵢⱼ`). `G` is finite at `r = 0`, and `H r²` vanishes there.
+//!
+//! | kernel | recommended | price |
+//! |---|---|---|
+//! | [`CubicSpline`] | default, the paper's; up to about 40 neighbours in 3D | pairs clump above that |
+//! | [`WendlandC2`] | above 40 neighbours in 3D | density is biased high at few neighbours |
+//! | [`WendlandC4`] | above 100 neighbours in 3D | as C2, more so |
+//! | [`WAb`], [`W2`] | where the shape itself is learned | run from a [`KernelTable`], slower; see there |
+//!
+//! A scene says which by a [`KernelChoice`]; a run evaluates an [`AnyKernel`]. A further learnable shape
+//! is a file with a [`LearnableShape`] and a line in the list below. Whether a kernel lets particles
+//! pair up is told by its [`Transform`]. Normalisation, moments and derivatives: `tests/kernels.rs`, and
+//! `tests/kernel_tables.rs` for those with a learnable shape.
+
+mod any;
+mod choice;
+mod classical;
+mod fourier;
+mod quadrature;
+mod shape;
+mod spline;
+mod table;
+
+pub use any::AnyKernel;
+pub use choice::{KernelChoice, KernelChoice as KernelName, LearnableKernel};
+pub use classical::{CubicSpline, WendlandC2, WendlandC4};
+pub use fourier::{DEEPEST_LOBE, Lobe, Transform, check_positive};
+pub use shape::{LearnableShape, ShapeKind, ShapeParameter, normalisation};
+pub use table::KernelTable;
+
+use crate::scalar::Scalar;
+
+/// The kernels with a learnable shape: each line is a file and a type.
+macro_rules! learnable_shapes {
+    ($($module:ident::$shape:ident;)*) => {
+        $(mod $module; pub use $module::$shape;)*
+
+        /// Every learnable shape.
+        pub static SHAPES: &[ShapeKind] = &[$(ShapeKind::of::<$shape>()),*];
+
+        /// Every kernel's name in scenes.
+        pub const NAMES: &[&str] = &[
+            "cubic-spline",
+            "wendland-c2",
+            "wendland-c4",
+            $(<$shape as LearnableShape>::NAME),*
+        ];
+    };
+}
+
+learnable_shapes! {
+    w_ab::WAb;
+    w_2::W2;
+}
+
+/// Shape of a kernel, a function of `q = r/h` alone; zero for `q ≥ 2`.
+pub trait Kernel: Clone + Send + Sync + 'static {
+    /// `σ`, such that `W` integrates to one in `dimension` 2 or 3.
+    fn normalisation(&self, dimension: usize) -> f64;
+    /// `w(q)`.
+    fn value<T: Scalar>(&self, q: T) -> T;
+    /// `g(q) = w'(q)/q`.
+    fn gradient<T: Scalar>(&self, q: T) -> T;
+    /// `k(q) = g'(q)/q`, with `q` kept away from zero where that is singular.
+    fn curvature<T: Scalar>(&self, q: T) -> T;
+    /// `g(q)` and `k(q)` at once, for less than both.
+    fn slopes<T: Scalar>(&self, q: T) -> [T; 2];
+
+    /// How many parameters the shape has.
+    #[inline(always)]
+    fn parameters(&self) -> usize {
+        0
+    }
+    /// `∂(σ w)/∂p / σ` at fixed `q` and `h`, by the shape's parameter of a given number: the change of the
+    /// normalisation is in it. Zero where there is no such parameter.
+    #[inline(always)]
+    fn value_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
+        let _ = (parameter, q);
+        T::of(0.0)
+    }
+    /// `∂(σ g)/∂p / σ`, likewise.
+    #[inline(always)]
+    fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
+        let _ = (parameter, q);
+        T::of(0.0)
+    }
+}
+
+/// A kernel `K` at a smoothing length `h` in dimension `D`.
+#[derive(Clone, Copy, Debug)]
+pub struct Smoothing<K, const D: usize> {
+    /// Smoothing length `h`; the support is `2h`.
+    pub h: f64,
+    /// `1/h`.
+    pub inverse_h: f64,
+    scale: f64,
+    shape: K,
+}
+
+impl<K: Kernel, const D: usize> Smoothing<K, D> {
+    /// The kernel at smoothing length `h`.
+    pub fn new(h: f64) -> Self
+    where
+        K: Default,
+    {
+        Self::of(K::default(), h)
+    }
+
+    /// A given kernel at smoothing length `h`.
+    pub fn of(shape: K, h: f64) -> Self {
+        let scale = shape.normalisation(D) / h.powi(D as i32);
+        Self { h, inverse_h: 1.0 / h, scale, shape }
+    }
+
+    /// The kernel.
+    pub fn kernel(&self) -> &K {
+        &self.shape
+    }
+
+    /// Radius beyond which the kernel vanishes, `2h`.
+    pub fn support(&self) -> f64 {
+        2.0 * self.h
+    }
+
+    /// `W(r)`, of dimension `1/length^D`.
+    #[inline(always)]
+    pub fn value<T: Scalar>(&self, r: T) -> T {
+        self.shape.value(r * self.inverse_h) * self.scale
+    }
+
+    /// `G(r) = W'(r)/r`.
+    #[inline(always)]
+    pub fn gradient<T: Scalar>(&self, r: T) -> T {
+        self.shape.gradient(r * self.inverse_h) * (self.scale * self.inverse_h * self.inverse_h)
+    }
+
+    /// `H(r) = G'(r)/r`.
+    #[inline(always)]
+    pub fn curvature<T: Scalar>(&self, r: T) -> T {
+        let inverse_h2 = self.inverse_h * self.inverse_h;
+        self.shape.curvature(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
+    }
+
+    /// `[G(r), H(r)]`.
+    #[inline(always)]
+    pub fn slopes<T: Scalar>(&self, r: T) -> [T; 2] {
+        let inverse_h2 = self.inverse_h * self.inverse_h;
+        let [gradient, curvature] = self.shape.slopes(r * self.inverse_h);
+        [gradient * (self.scale * inverse_h2), curvature * (self.scale * inverse_h2 * inverse_h2)]
+    }
+
+    /// `∂W/∂p` at fixed `r`, by the shape's parameter of a given number; zero where there is none.
+    #[inline(always)]
+    pub fn value_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
+        self.shape.value_by(parameter, r * self.inverse_h) * self.scale
+    }
+
+    /// `∂G/∂p` at fixed `r`, likewise.
+    #[inline(always)]
+    pub fn gradient_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
+        let scale = self.scale * self.inverse_h * self.inverse_h;
+        self.shape.gradient_by(parameter, r * self.inverse_h) * scale
+    }
+}
