@@ -3,6 +3,7 @@
 mod adjoint;
 mod build;
 mod held;
+pub mod initial;
 mod law;
 mod measure;
 mod state;

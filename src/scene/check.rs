@@ -7,7 +7,7 @@ use crate::models::{ModelChoice, Parameter};
 use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
-type Requirement = (bool, &'static str, &'static str, String);
+pub(crate) type Requirement = (bool, &'static str, &'static str, String);
 
 impl Scene {
     /// Refuses numbers that no run could use; `origin` names the scene in the error.
@@ -15,6 +15,7 @@ impl Scene {
         let mut requirements = self.accuracy_requirements();
         requirements.extend(self.fluid_requirements());
         requirements.extend(self.motion_requirements());
+        requirements.extend(self.initial.field.requirements(self));
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
             requirements.extend(loss_requirements(learn, self.most_a_side()));

@@ -9,10 +9,12 @@ mod learn;
 mod read;
 
 pub use accuracy::{Chosen, Speed};
+pub(crate) use check::Requirement;
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
+use crate::flow::initial::Field;
 use crate::forcing::Power;
 pub use crate::kernel::KernelName;
 use crate::models::{ModelChoice, Parameters};
@@ -97,20 +99,28 @@ pub struct Fluid {
     pub gamma: f64,
 }
 
-/// The initial state: a lattice with its first particle in the corner, shaken.
+/// The initial state: a lattice with its first particle in the corner, shaken, and the velocities of a
+/// field at the places where that puts the particles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Each coordinate is moved by a uniform number in `±jitter`.
     pub jitter: f64,
-    /// Each velocity component is drawn from a normal distribution of this width.
+    /// Amplitude of the velocity field: width of the normal distribution, largest velocity `U` of
+    /// Taylor–Green, factor on the ABC flow, rms `u'` of one component of the random solenoidal field.
     pub velocity: f64,
+    /// The velocity field, [`crate::flow::initial`]: a table, or its name alone.
+    #[serde(
+        skip_serializing_if = "Field::is_default",
+        deserialize_with = "Field::by_table_or_name"
+    )]
+    pub field: Field,
 }
 
 impl Default for Initial {
-    /// The paper's: jitter 0.0025, unit velocities.
+    /// The paper's: jitter 0.0025, normal velocities of unit width.
     fn default() -> Self {
-        Self { jitter: 0.0025, velocity: 1.0 }
+        Self { jitter: 0.0025, velocity: 1.0, field: Field::default() }
     }
 }
 
