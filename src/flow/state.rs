@@ -56,6 +56,8 @@ pub enum Stream {
     Weights = 2,
     /// Phases and directions of a random solenoidal velocity field.
     Field = 3,
+    /// Amplitudes of the Ornstein–Uhlenbeck forcing.
+    Forcing = 4,
 }
 
 /// A portable generator: the same numbers on every machine.
