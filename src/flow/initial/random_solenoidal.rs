@@ -22,9 +22,9 @@ use std::f64::consts::TAU;
 /// shaken the mean over the particles is the same to round-off; elsewhere it differs by sampling.
 ///
 /// The field depends on the seed alone, not on the number of particles, and with a larger `largest` the
-/// long waves keep phases and directions: a finer run starts from the same flow. The sum costs some ten
+/// long waves keep phases and directions: a finer run starts from the same flow. The sum costs some six
 /// nanoseconds per wave and particle, so waves are limited to `k <= 64` in two dimensions (6,500 waves)
-/// and 16 in three (9,400): a second or so per ten thousand particles and core at the limit.
+/// and 16 in three (9,400): at the limit about half a second per ten thousand particles on one core.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomSolenoidal {
