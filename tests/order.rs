@@ -152,6 +152,7 @@ fn nothing_is_scheduled_that_a_scene_does_not_need() {
                         Forcing::None => (0, 0),
                         Forcing::Deterministic { .. } => (evaluations, 0),
                         Forcing::Stochastic { .. } => (0, evaluations),
+                        Forcing::OrnsteinUhlenbeck { .. } => unreachable!("no flow has it yet"),
                     };
                     assert_eq!(
                         count("force_deterministically"),

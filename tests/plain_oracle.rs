@@ -167,6 +167,7 @@ impl Plain {
                 };
                 centred(&r.iter().map(at).collect())
             }
+            Forcing::OrnsteinUhlenbeck { .. } => unreachable!("no flow has it yet"),
         }
     }
 }

@@ -73,6 +73,7 @@ fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
         Forcing::Stochastic { .. } => {
             Some(("forcing::force_stochastically", "forcing::force_stochastically_tangent"))
         }
+        Forcing::OrnsteinUhlenbeck { .. } => unreachable!("no flow has it yet"),
     };
     let mut all = vec!["acceleration::accelerate"];
     all.extend(tangent(way, "acceleration::accelerate_tangent"));
@@ -119,6 +120,7 @@ fn way_back_of(scene: &Scene) -> Vec<&'static str> {
             Forcing::None => None,
             Forcing::Deterministic { .. } => Some("forcing::force_deterministically_pullback"),
             Forcing::Stochastic { .. } => Some("forcing::force_stochastically_pullback"),
+            Forcing::OrnsteinUhlenbeck { .. } => unreachable!("no flow has it yet"),
         };
         let pairs = ["acceleration::accelerate_pullback", density];
         let first = ["tape::rewind_evaluation"].into_iter().chain(forcing);

@@ -232,6 +232,33 @@ fn a_stochastic_forcing_needs_an_interval() {
 }
 
 #[test]
+fn an_ornstein_uhlenbeck_forcing_needs_a_power_a_time_and_a_band_with_waves() {
+    let with = |text: &str| format!("forcing={{kind='ornstein-uhlenbeck',{text}}}");
+    let scene = Scene::parse(GOOD, "small.toml", &[with("power=0.3,correlation_time=1")]).unwrap();
+    let expected = Forcing::OrnsteinUhlenbeck { power: 0.3, correlation_time: 1.0, band: 2.5 };
+    assert_eq!(scene.forcing, expected);
+    assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+    let error = whirls::Flow::<3>::new(&scene).err().unwrap();
+    assert!(error.to_string().contains("forcing.kind"), "no system applies it yet: {error}");
+    let cases: &[(&str, &[&str])] = &[
+        ("power=0.3", &["correlation_time"]),
+        ("correlation_time=0.3", &["power"]),
+        ("power=0.3,correlation_time=1,seed=2", &["unknown", "seed"]),
+        ("power=0.0,correlation_time=1", &["forcing.power", "positive", "found 0"]),
+        ("power=inf,correlation_time=1", &["forcing.power", "positive", "inf"]),
+        ("power=0.3,correlation_time=-1", &["forcing.correlation_time", "positive", "-1"]),
+        ("power=0.3,correlation_time=nan", &["forcing.correlation_time", "NaN"]),
+        ("power=1e9,correlation_time=1e-308", &["forcing.correlation_time", "finite"]),
+        ("power=0.3,correlation_time=1,band=0.5", &["forcing.band", "between 1 and 8", "0.5"]),
+        ("power=0.3,correlation_time=1,band=nan", &["forcing.band", "NaN"]),
+        ("power=0.3,correlation_time=1,band=9", &["forcing.band", "found 9"]),
+    ];
+    for (text, parts) in cases {
+        assert_says(&refusal(GOOD, &[&with(text)]), parts);
+    }
+}
+
+#[test]
 fn an_override_without_a_key_or_a_value_is_refused() {
     let error = Scene::parse(GOOD, "small.toml", &["fluid.alpha".to_owned()]).unwrap_err();
     let message = error.to_string();

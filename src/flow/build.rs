@@ -1,6 +1,7 @@
 //! From a scene to a World: resources, particles, sensitivity blocks.
 
 use super::{Differentiation, State};
+use crate::error::{Error, Result};
 use crate::models::Parameter;
 use crate::packed::PackedSensitivity;
 use crate::scalar::{Lanes, WIDTH};
@@ -24,6 +25,19 @@ pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
     Vector([Lanes::ZERO; D])
 }
 
+/// Refuses a forcing that no system applies yet.
+pub(super) fn must_have_systems(scene: &Scene) -> Result<()> {
+    if matches!(scene.forcing, Forcing::OrnsteinUhlenbeck { .. }) {
+        return Err(Error::input(
+            format!("scene {}: forcing.kind", scene.name),
+            "\"none\", \"deterministic\" or \"stochastic\"",
+            "\"ornstein-uhlenbeck\", which no system applies yet",
+            "choose one of these",
+        ));
+    }
+    Ok(())
+}
+
 pub(super) fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
     match scene.forcing {
         Forcing::None => Stirring::None,
@@ -35,6 +49,8 @@ pub(super) fn insert_forcing(world: &mut World, scene: &Scene) -> Stirring {
             world.insert_resource(StochasticForcing::new(scene.seed, interval, strength));
             Stirring::Stochastic
         }
+        // Refused before a World is made, `must_have_systems`.
+        Forcing::OrnsteinUhlenbeck { .. } => Stirring::None,
     }
 }
 

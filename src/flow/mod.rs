@@ -215,6 +215,7 @@ impl<const D: usize> Flow<D> {
                 "let `trade::settle` choose one first",
             ));
         }
+        build::must_have_systems(scene)?;
         if scene.dimension == D {
             return Ok(());
         }

@@ -2,6 +2,7 @@
 
 use super::{Forcing, Learn, Optimiser, Scene, Speed, Weights};
 use crate::error::{Error, Result};
+use crate::forcing::ornstein_uhlenbeck::WIDEST;
 use crate::losses::FEWEST_NODES;
 use crate::models::{ModelChoice, Parameter};
 use crate::sensitivity::{Coupling, Gradient};
@@ -169,6 +170,21 @@ fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
         Forcing::Stochastic { interval, strength } => vec![
             (positive(interval), "forcing.interval", "a positive time", show(interval)),
             (strength.is_finite(), "forcing.strength", "a number", show(strength)),
+        ],
+        Forcing::OrnsteinUhlenbeck { power, correlation_time, band } => vec![
+            (positive(power), "forcing.power", "a positive power", show(power)),
+            (
+                positive(correlation_time) && (power / correlation_time).is_finite(),
+                "forcing.correlation_time",
+                "a positive time, over which the power is a finite number",
+                show(correlation_time),
+            ),
+            (
+                (1.0..=WIDEST).contains(&band),
+                "forcing.band",
+                "a wave number between 1 and 8, so that there are waves and few of them",
+                show(band),
+            ),
         ],
     }
 }

@@ -158,6 +158,16 @@ pub enum Forcing {
         #[serde(default = "defaults::one")]
         strength: f64,
     },
+    /// Random large-scale waves with a memory, [`crate::forcing::ornstein_uhlenbeck`].
+    OrnsteinUhlenbeck {
+        /// Power per unit mass `P` into a flow whose large eddies live longer than the correlation time.
+        power: f64,
+        /// Correlation time `T`.
+        correlation_time: f64,
+        /// The longest wave vector, in units of `2π/L`.
+        #[serde(default = "defaults::band")]
+        band: f64,
+    },
 }
 
 /// How time passes.
@@ -221,6 +231,9 @@ mod defaults {
     }
     pub(super) fn one() -> f64 {
         1.0
+    }
+    pub(super) fn band() -> f64 {
+        2.5
     }
     pub(super) fn courant() -> f64 {
         0.4
