@@ -33,6 +33,7 @@ pub mod trade;
 pub mod truth;
 pub mod vector;
 pub mod viscosity;
+pub mod waves;
 
 pub use error::{Error, Result};
 pub use flow::Flow;

@@ -1,7 +1,10 @@
 //! Density by summation, Eq. (17), with its tangent and its pullback.
 
-use super::acceleration::{Laws, WINDOW};
-use super::density_tangent::{DensityTangent, Pulls, PullsPass, StressColumns, StressTangent};
+use super::acceleration::{Laws, PairTerm, WINDOW};
+use super::density_tangent::{
+    DensityTangent, Pulls, PullsPass, StressColumns, StressTangent, density_by_kernel,
+};
+use super::near::Pairs;
 use super::neighbours::Neighbours;
 use super::particles::{
     AdjointCloud, Cloud, Density, Identity, SensitivityBlock, SensitivityCloud, side_by_side,
@@ -9,7 +12,7 @@ use super::particles::{
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
 use crate::cells::FEWEST;
-use crate::models::{Medium, Model, Room};
+use crate::models::{FluidConstants, Medium, Model, Room};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Chunk, Entry, Hood, Lines, adjoints, separation};
 use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
@@ -164,16 +167,18 @@ pub fn sum_density_tangent<const D: usize>(
     stress_slopes.resize(cloud.len(), 0.0);
     let coupling = *coupling;
     pulls.resize_with(pairs.chunks().min(WINDOW), Pulls::default);
-    let (mut packed, mut changes) = (Vec::new(), Vec::new());
-    for SensitivityBlock { packed: lines, density, .. } in &mut *blocks {
+    let (mut packed, mut changes, mut shapes) = (Vec::new(), Vec::new(), Vec::new());
+    for SensitivityBlock { packed: lines, density, directions, .. } in &mut *blocks {
         packed.push(&lines[..]);
         changes.push(density);
+        shapes.push(kernel_of(model, &directions[0]));
     }
+    let shape = shapes.iter().any(|of| of.iter().any(|direction| *direction != Lanes::ZERO));
     for window in (0..pairs.chunks()).step_by(WINDOW) {
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
             pairs.meet(chunk, law, |hood, _| {
-                dispatch_in(precision, PullsPass { hood, medium, coupling, into });
+                dispatch_in(precision, PullsPass { hood, medium, coupling, shape, into });
             });
         });
         changes.par_iter_mut().enumerate().for_each(|(block, density)| {
@@ -183,7 +188,8 @@ pub fn sum_density_tangent<const D: usize>(
             let chunks = columns.zip(&*pulls).zip(chunks.clone());
             chunks.for_each(|((density, pulls), chunk)| {
                 let first = chunk * CHUNK;
-                dispatch(DensityTangent { pulls, first, sensitivity, next, density });
+                let shape = shapes[block];
+                dispatch(DensityTangent { pulls, shape, first, sensitivity, next, density });
             });
         });
     }
@@ -261,11 +267,41 @@ pub fn sum_density_pullback<const D: usize>(
             });
         });
     });
+    pull_back_to_kernel(law, cloud.pairs(&neighbours), &mut adjoint);
     let AdjointCloud { packed: by_density, position, near, .. } = &mut *adjoint;
     let (pairs, adjoint, medium) = (cloud.pairs(&neighbours), &by_density[..], model.medium());
     near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(near, position)| {
         let hood = pairs.hood(near);
         dispatch_in(cloud.precision, DensityPullback { hood, adjoint, medium, position });
+    });
+}
+
+/// Of the scalars of a model, those of the kernel.
+fn kernel_of<'a, T, const D: usize>(model: &dyn Model<D>, scalars: &'a [T]) -> &'a [T] {
+    let count = model.medium().kernel_scalars();
+    scalars.get(FluidConstants::COUNT..FluidConstants::COUNT + count).unwrap_or_default()
+}
+
+/// Adds `∂L/∂p = Σᵢ ∂L/∂ρᵢ ∂ρᵢ/∂p` of each parameter of the kernel.
+fn pull_back_to_kernel<const D: usize>(
+    law: &PairTerm<D>,
+    pairs: Pairs<'_>,
+    adjoint: &mut AdjointCloud<D>,
+) {
+    let (medium, places) = (law.model.medium(), kernel_of(&*law.model, law.scalars()));
+    if places.is_empty() {
+        return;
+    }
+    adjoint.sum_parameters(places, |adjoint, sums, width| {
+        let AdjointCloud { packed, near, .. } = adjoint;
+        let lines = near.par_iter().zip(packed.par_chunks(CHUNK));
+        lines.zip(sums.par_chunks_mut(width)).for_each(|((near, lines), sums)| {
+            sums.fill(0.0);
+            let by = density_by_kernel(pairs.hood(near), medium);
+            for (line, by) in lines.iter().zip(by.chunks_exact(width)) {
+                sums.iter_mut().zip(by).for_each(|(sum, by)| *sum += line.density * by);
+            }
+        });
     });
 }
 

@@ -14,6 +14,8 @@ use crate::vector::Vector;
 pub struct Pulls<const D: usize> {
     /// The first sum.
     own: Vec<[f64; D]>,
+    /// `∂ρᵢ/∂p = Σⱼ m ∂W/∂p`, self term included, of each particle by each parameter of the kernel that is learned.
+    by_kernel: Vec<f64>,
     /// Where each particle's pairs start; one more at the end.
     start: Vec<u32>,
     /// The neighbours within `2h`.
@@ -28,6 +30,7 @@ impl<const D: usize> Pulls<D> {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         size_of::<[f64; D]>() * (self.own.capacity() + self.pulls.capacity())
+            + 8 * self.by_kernel.capacity()
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
 
@@ -55,6 +58,8 @@ pub(super) struct PullsPass<'a, const D: usize> {
     pub(super) hood: Hood<'a>,
     pub(super) medium: &'a Medium<D>,
     pub(super) coupling: Coupling,
+    /// Whether parameters of the kernel are learned.
+    pub(super) shape: bool,
     pub(super) into: &'a mut Pulls<D>,
 }
 
@@ -63,9 +68,13 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { hood: Hood { lines, near, space }, medium, coupling, into } = self;
+        let Self { hood: Hood { lines, near, space }, medium, coupling, shape, into } = self;
         let Medium { smoothing, mass, .. } = medium;
         into.own.clear();
+        into.by_kernel.clear();
+        if shape {
+            into.by_kernel.extend(density_by_kernel(self.hood, medium));
+        }
         into.filled = 0;
         into.start.clear();
         into.start.push(0);
@@ -95,9 +104,32 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
     }
 }
 
+/// `∂ρ/∂p = Σⱼ m ∂W/∂p` of a chunk of particles by each parameter of the kernel, self term included, particle by
+/// particle. In plain code: only learnable kernels need it.
+pub(super) fn density_by_kernel<const D: usize>(hood: Hood<'_>, medium: &Medium<D>) -> Vec<f64> {
+    let Hood { lines, near, space } = hood;
+    let Medium { smoothing, mass, .. } = medium;
+    let count = medium.kernel_scalars();
+    let mut sums = Vec::with_capacity(near.len() * count);
+    for k in 0..near.len() {
+        let around = near.around(k, space);
+        for parameter in 0..count {
+            let mut sum = Lanes::ZERO;
+            for eight in near.neighbours(k) {
+                let r = separation::<Lanes, D>(lines, near.first + k, eight, around);
+                sum += smoothing.value_by(parameter, r.norm_squared().sqrt());
+            }
+            sums.push(mass * (smoothing.value_by(parameter, 0.0) + sum.sum()));
+        }
+    }
+    sums
+}
+
 /// `δρ` of one chunk of particles for one block of parameters; the sensitivities of the `next` are asked for.
 pub(super) struct DensityTangent<'a, const D: usize> {
     pub(super) pulls: &'a Pulls<D>,
+    /// `∂(the kernel's parameters)/∂(the eight learned parameters)`.
+    pub(super) shape: &'a [Lanes],
     pub(super) first: usize,
     pub(super) sensitivity: &'a [PackedSensitivity<D>],
     pub(super) next: &'a [PackedSensitivity<D>],
@@ -109,13 +141,19 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) {
-        let Self { pulls, first, sensitivity, next, density } = self;
+        let Self { pulls, shape, first, sensitivity, next, density } = self;
         for (k, density) in density.iter_mut().enumerate() {
             if let Some(next) = next.get(first + k) {
                 W::Double::fetch_columns(&next.position.0);
             }
             let own = &sensitivity[first + k].position;
             let mut sum = W::Double::of(0.0);
+            if !pulls.by_kernel.is_empty() {
+                let by = &pulls.by_kernel[k * shape.len()..(k + 1) * shape.len()];
+                for (direction, by) in shape.iter().zip(by) {
+                    sum += W::Double::load(direction) * *by;
+                }
+            }
             for axis in 0..D {
                 sum += W::Double::load(&own[axis]) * pulls.own[k][axis];
             }

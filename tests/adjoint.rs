@@ -38,10 +38,11 @@ fn scene(dimension: usize, step: Step, forcing: &str, loss: Weights) -> Scene {
     scene
 }
 
-const FORCINGS: [&str; 4] = [
+const FORCINGS: [&str; 5] = [
     "paper",
     "{kind='deterministic',theta=0.3,power='exact'}",
     "{kind='stochastic',interval=0.05}",
+    "{kind='ornstein-uhlenbeck',power=0.5,correlation_time=0.3}",
     "{kind='none'}",
 ];
 

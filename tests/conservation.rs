@@ -75,7 +75,7 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     let smoothing =
         Smoothing::<AnyKernel, D>::of(kernel.in_dimension(D), scene.fluid.smoothing_length);
     let fluid = scene.fluid.constants();
-    let medium = Medium { mass: flow.mass(), smoothing: smoothing.clone(), fluid };
+    let medium = Medium { mass: flow.mass(), smoothing: smoothing.clone(), kernel, fluid };
     let FluidConstants { c, gamma, .. } = medium.fluid;
     let stress = |rho: f64| state::stress(state::tait(rho, c, gamma), rho);
     let densities = flow.densities();
@@ -205,7 +205,7 @@ fn viscosity_alone_only_takes_energy<const D: usize>() {
 }
 
 fn medium<const D: usize>(kernel: KernelName, h: f64, fluid: FluidConstants) -> Medium<D> {
-    Medium { mass: 0.1, smoothing: Smoothing::of(kernel.in_dimension(D), h), fluid }
+    Medium { mass: 0.1, smoothing: Smoothing::of(kernel.in_dimension(D), h), kernel, fluid }
 }
 
 proptest! {

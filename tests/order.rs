@@ -151,14 +151,17 @@ fn nothing_is_scheduled_that_a_scene_does_not_need() {
                     let (plain, random) = match scene.forcing {
                         Forcing::None => (0, 0),
                         Forcing::Deterministic { .. } => (evaluations, 0),
-                        Forcing::Stochastic { .. } => (0, evaluations),
+                        Forcing::Stochastic { .. } | Forcing::OrnsteinUhlenbeck { .. } => {
+                            (0, evaluations)
+                        }
                     };
                     assert_eq!(
                         count("force_deterministically"),
                         plain + tangents(plain),
                         "{about}"
                     );
-                    assert_eq!(count("force_stochastically"), random + tangents(random), "{about}");
+                    let drawn = count("force_stochastically") + count("force_by_waves");
+                    assert_eq!(drawn, random + tangents(random), "{about}");
                     assert_eq!(count("watch"), 1, "{about}");
                 }
             }
@@ -168,54 +171,54 @@ fn nothing_is_scheduled_that_a_scene_does_not_need() {
 
 /// What the shipped scenes run when they simulate and when they learn: the paper's step, forced.
 const SIMULATE: &[&str] = &[
-    "neighbours::pack_velocities",
+    "packing::pack_velocities",
     "acceleration::accelerate",
-    "forcing::force_deterministically",
-    "acceleration::write_acceleration",
+    "deterministic::force_deterministically",
+    "packing::write_acceleration",
     "verlet::kick",
     "verlet::drift",
     "neighbours::find_neighbours",
-    "neighbours::pack_velocities",
+    "packing::pack_velocities",
     "density::sum_density",
     "density::write_density",
     "acceleration::accelerate",
-    "forcing::force_deterministically",
-    "acceleration::write_acceleration",
+    "deterministic::force_deterministically",
+    "packing::write_acceleration",
     "verlet::kick",
     "verlet::tick",
     "watch::watch",
 ];
 
 const LEARN: &[&str] = &[
-    "neighbours::pack_velocities",
-    "verlet::pack_sensitivities",
+    "packing::pack_velocities",
+    "packing::pack_sensitivities",
     "acceleration::accelerate",
     "acceleration::accelerate_tangent",
-    "forcing::force_deterministically",
-    "forcing::force_deterministically_tangent",
-    "acceleration::write_acceleration",
-    "verlet::write_acceleration_tangent",
+    "deterministic::force_deterministically",
+    "deterministic::force_deterministically_tangent",
+    "packing::write_acceleration",
+    "packing::write_acceleration_tangent",
     "verlet::kick",
     "verlet::kick_tangent",
     "verlet::drift",
     "verlet::drift_tangent",
     "neighbours::find_neighbours",
-    "neighbours::pack_velocities",
-    "verlet::pack_sensitivities",
+    "packing::pack_velocities",
+    "packing::pack_sensitivities",
     "density::sum_density",
     "density::write_density",
     "density::sum_density_tangent",
     "acceleration::accelerate",
     "acceleration::accelerate_tangent",
-    "forcing::force_deterministically",
-    "forcing::force_deterministically_tangent",
-    "acceleration::write_acceleration",
-    "verlet::write_acceleration_tangent",
+    "deterministic::force_deterministically",
+    "deterministic::force_deterministically_tangent",
+    "packing::write_acceleration",
+    "packing::write_acceleration_tangent",
     "verlet::kick",
     "verlet::tick",
     "verlet::kick_tangent",
-    "neighbours::pack_velocities",
-    "verlet::pack_sensitivities",
+    "packing::pack_velocities",
+    "packing::pack_sensitivities",
     "loss::accumulate_loss",
     "watch::watch",
 ];

@@ -9,6 +9,7 @@ use common::{FORCINGS, KERNELS, cloud, in_2d_and_3d, shaken, started};
 use std::f64::consts::PI;
 use whirls::Scene;
 use whirls::flow::State;
+use whirls::forcing::ornstein_uhlenbeck::{OrnsteinUhlenbeck, Settings};
 use whirls::forcing::{Power, stochastic_modes};
 use whirls::scene::{Forcing, KernelName};
 use whirls::systems::verlet::Step;
@@ -33,6 +34,7 @@ struct Plain {
     gamma: f64,
     forcing: Forcing,
     seed: u64,
+    dt: f64,
 }
 
 impl Plain {
@@ -50,6 +52,7 @@ impl Plain {
             gamma: f.gamma,
             forcing: scene.forcing.clone(),
             seed: scene.seed,
+            dt: scene.dt(),
         }
     }
 
@@ -165,6 +168,26 @@ impl Plain {
                         strength * each.sum::<f64>()
                     };
                     (0..self.dimension).map(wave).collect()
+                };
+                centred(&r.iter().map(at).collect())
+            }
+            Forcing::OrnsteinUhlenbeck { power, correlation_time, band } => {
+                let settings = Settings { power, correlation_time, band };
+                let (dimension, length) = (self.dimension, self.length);
+                let mut process =
+                    OrnsteinUhlenbeck::new(settings, dimension, length, self.dt, self.seed);
+                let step = (time / self.dt).floor() as u64;
+                let waves = process.modes_at(step).list().to_vec();
+                let at = |r: &Vec<f64>| -> Vec<f64> {
+                    let wave = |axis: usize| {
+                        let each = waves.iter().map(|wave| {
+                            let along = r.iter().zip(wave.n).map(|(x, n)| f64::from(n) * x);
+                            let phase = std::f64::consts::TAU / length * along.sum::<f64>();
+                            wave.cosine[axis] * phase.cos() + wave.sine[axis] * phase.sin()
+                        });
+                        each.sum::<f64>()
+                    };
+                    (0..dimension).map(wave).collect()
                 };
                 centred(&r.iter().map(at).collect())
             }

@@ -60,19 +60,24 @@ fn tangent(way: Way, name: &'static str) -> Vec<&'static str> {
 
 /// Systems that pack what a force evaluation, or the loss, sees.
 fn packed(way: Way) -> Vec<&'static str> {
-    [vec!["neighbours::pack_velocities"], tangent(way, "verlet::pack_sensitivities")].concat()
+    [vec!["packing::pack_velocities"], tangent(way, "packing::pack_sensitivities")].concat()
 }
 
 /// Systems of a force evaluation.
 fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
     let forcing = match scene.forcing {
         Forcing::None => None,
-        Forcing::Deterministic { .. } => {
-            Some(("forcing::force_deterministically", "forcing::force_deterministically_tangent"))
-        }
+        Forcing::Deterministic { .. } => Some((
+            "deterministic::force_deterministically",
+            "deterministic::force_deterministically_tangent",
+        )),
         Forcing::Stochastic { .. } => {
-            Some(("forcing::force_stochastically", "forcing::force_stochastically_tangent"))
+            Some(("stochastic::force_stochastically", "stochastic::force_stochastically_tangent"))
         }
+        Forcing::OrnsteinUhlenbeck { .. } => Some((
+            "ornstein_uhlenbeck::force_by_waves",
+            "ornstein_uhlenbeck::force_by_waves_tangent",
+        )),
     };
     let mut all = vec!["acceleration::accelerate"];
     all.extend(tangent(way, "acceleration::accelerate_tangent"));
@@ -80,8 +85,8 @@ fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
         all.push(force);
         all.extend(tangent(way, its_tangent));
     }
-    all.push("acceleration::write_acceleration");
-    all.extend(tangent(way, "verlet::write_acceleration_tangent"));
+    all.push("packing::write_acceleration");
+    all.extend(tangent(way, "packing::write_acceleration_tangent"));
     if way == Way::Adjoint {
         all.push("tape::record_evaluation");
     }
@@ -117,12 +122,17 @@ fn way_back_of(scene: &Scene) -> Vec<&'static str> {
     let evaluation = |density: &'static str| {
         let forcing = match scene.forcing {
             Forcing::None => None,
-            Forcing::Deterministic { .. } => Some("forcing::force_deterministically_pullback"),
-            Forcing::Stochastic { .. } => Some("forcing::force_stochastically_pullback"),
+            Forcing::Deterministic { .. } => {
+                Some("deterministic::force_deterministically_pullback")
+            }
+            Forcing::Stochastic { .. } => Some("stochastic::force_stochastically_pullback"),
+            Forcing::OrnsteinUhlenbeck { .. } => {
+                Some("ornstein_uhlenbeck::force_by_waves_pullback")
+            }
         };
         let pairs = ["acceleration::accelerate_pullback", density];
-        let first = ["tape::rewind_evaluation"].into_iter().chain(forcing);
-        first.chain(pairs).chain(["tape::unpack_adjoint"]).collect::<Vec<_>>()
+        let first = ["packing::rewind_evaluation"].into_iter().chain(forcing);
+        first.chain(pairs).chain(["packing::unpack_adjoint"]).collect::<Vec<_>>()
     };
     let mut all = vec!["tape::add_loss", "verlet::tick_pullback", "verlet::kick_pullback"];
     all.extend(evaluation("density::sum_density_pullback"));

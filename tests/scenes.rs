@@ -232,6 +232,31 @@ fn a_stochastic_forcing_needs_an_interval() {
 }
 
 #[test]
+fn an_ornstein_uhlenbeck_forcing_needs_a_power_a_time_and_a_band_with_waves() {
+    let with = |text: &str| format!("forcing={{kind='ornstein-uhlenbeck',{text}}}");
+    let scene = Scene::parse(GOOD, "small.toml", &[with("power=0.3,correlation_time=1")]).unwrap();
+    let expected = Forcing::OrnsteinUhlenbeck { power: 0.3, correlation_time: 1.0, band: 2.5 };
+    assert_eq!(scene.forcing, expected);
+    assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+    let cases: &[(&str, &[&str])] = &[
+        ("power=0.3", &["correlation_time"]),
+        ("correlation_time=0.3", &["power"]),
+        ("power=0.3,correlation_time=1,seed=2", &["unknown", "seed"]),
+        ("power=0.0,correlation_time=1", &["forcing.power", "positive", "found 0"]),
+        ("power=inf,correlation_time=1", &["forcing.power", "positive", "inf"]),
+        ("power=0.3,correlation_time=-1", &["forcing.correlation_time", "positive", "-1"]),
+        ("power=0.3,correlation_time=nan", &["forcing.correlation_time", "NaN"]),
+        ("power=1e9,correlation_time=1e-308", &["forcing.correlation_time", "finite"]),
+        ("power=0.3,correlation_time=1,band=0.5", &["forcing.band", "between 1 and 8", "0.5"]),
+        ("power=0.3,correlation_time=1,band=nan", &["forcing.band", "NaN"]),
+        ("power=0.3,correlation_time=1,band=9", &["forcing.band", "found 9"]),
+    ];
+    for (text, parts) in cases {
+        assert_says(&refusal(GOOD, &[&with(text)]), parts);
+    }
+}
+
+#[test]
 fn an_override_without_a_key_or_a_value_is_refused() {
     let error = Scene::parse(GOOD, "small.toml", &["fluid.alpha".to_owned()]).unwrap_err();
     let message = error.to_string();
@@ -368,5 +393,77 @@ fn every_optional_table_survives_being_written_out() {
                 assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
             }
         }
+    }
+}
+
+/// The small scene with a velocity field.
+fn with_field(dimension: usize, field: &str) -> whirls::Result<Scene> {
+    let all = [
+        format!("dimension={dimension}"),
+        "fluid.particles_per_side=16".to_owned(),
+        format!("initial.field={field}"),
+    ];
+    Scene::parse(GOOD, "small.toml", &all)
+}
+
+#[test]
+fn a_velocity_field_is_named_or_written_as_a_table_and_survives_being_written_out() {
+    let band = "{kind='random-solenoidal',spectrum={kind='band',smallest=2,largest=3}}";
+    for (short, long) in [
+        ("normal", "{kind='normal'}"),
+        ("taylor-green", "{kind='taylor-green'}"),
+        ("abc", "{kind='abc',a=1,b=1.0}"),
+        (band, band),
+        (
+            "{kind='random-solenoidal',spectrum={kind='power-law',exponent=-2,largest=7}}",
+            "{kind='random-solenoidal',spectrum={kind='power-law',exponent=-2.0,smallest=1,largest=7}}",
+        ),
+    ] {
+        let scene = with_field(3, short).unwrap();
+        assert_eq!(scene, with_field(3, long).unwrap());
+        assert_eq!(Scene::parse(&scene.to_toml(), "again", &[]).unwrap(), scene);
+    }
+}
+
+#[test]
+fn a_scene_without_a_velocity_field_is_written_out_without_one() {
+    let text = Scene::parse(GOOD, "small.toml", &[]).unwrap().to_toml();
+    assert!(text.contains("\n[initial]\njitter = 0.0025\nvelocity = 1.0\n\n"), "{text}");
+    assert_eq!(with_field(3, "normal").unwrap(), with_field(3, "{kind='normal'}").unwrap());
+    for Shipped { name, .. } in SHIPPED {
+        assert!(!Scene::shipped(name).unwrap().to_toml().contains("initial.field"), "{name}");
+    }
+}
+
+#[test]
+fn a_velocity_field_that_no_flow_could_start_with_is_refused_with_its_key() {
+    let spectrum = |text: &str| format!("{{kind='random-solenoidal',spectrum={{{text}}}}}");
+    let cases: &[(usize, String, &[&str])] = &[
+        (2, "abc".into(), &["initial.field", "dimension 2", "only a form in three"]),
+        (3, "vortex".into(), &["vortex", "taylor-green", "random-solenoidal"]),
+        (3, "{kind='vortex'}".into(), &["vortex", "taylor-green", "random-solenoidal"]),
+        (3, "{a=1.0}".into(), &["kind"]),
+        (3, "7".into(), &["name of a velocity field", "kind"]),
+        (3, "random-solenoidal".into(), &["spectrum"]),
+        (3, "{kind='normal',width=1.0}".into(), &["unknown", "width"]),
+        (3, "{kind='taylor-green',k=2}".into(), &["unknown", "`k`"]),
+        (3, "{kind='abc',d=1.0}".into(), &["unknown", "`d`", "`a`"]),
+        (3, "{kind='abc',a=nan}".into(), &["initial.field.a", "zero or more", "NaN"]),
+        (3, "{kind='abc',b=-1}".into(), &["initial.field.b", "zero or more", "-1"]),
+        (3, "{kind='abc',c=inf}".into(), &["initial.field.c", "zero or more", "inf"]),
+        (3, spectrum("kind='band',largest=8"), &["spectrum.largest", "half", "16 particles"]),
+        (3, spectrum("kind='band',largest=-1"), &["spectrum.largest", "at least 1", "-1"]),
+        (3, spectrum("kind='band',smallest=4,largest=3"), &["spectrum.smallest", "found 4"]),
+        (3, spectrum("kind='band',smallest=-2,largest=3"), &["spectrum.smallest", "found -2"]),
+        (3, spectrum("kind='band',largest=3,peak=2"), &["unknown", "peak"]),
+        (3, spectrum("kind='von-karman',peak=nan,largest=3"), &["spectrum.peak", "NaN"]),
+        (3, spectrum("kind='von-karman',peak=-2.0,largest=3"), &["spectrum.peak", "-2"]),
+        (3, spectrum("kind='power-law',exponent=inf,largest=3"), &["spectrum.exponent", "inf"]),
+        (3, spectrum("kind='power-law',largest=3"), &["exponent"]),
+    ];
+    for (dimension, field, parts) in cases {
+        let error = with_field(*dimension, field).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        assert_says(&error.to_string(), parts);
     }
 }

@@ -261,6 +261,13 @@ fn a_scene_of_impossible_numbers_runs_or_is_refused() {
         "forcing={kind='stochastic',interval=1e-320}",
         "forcing={kind='stochastic',interval=1e-9}",
         "forcing={kind='stochastic',interval=1e308,strength=1e308}",
+        "forcing={kind='ornstein-uhlenbeck',power=1e308,correlation_time=1e308}",
+        "forcing={kind='ornstein-uhlenbeck',power=1e-320,correlation_time=1e-320}",
+        "initial={velocity=1e308,field='taylor-green'}",
+        "initial={velocity=1e160,field={kind='abc',a=1e160}}",
+        "initial={field={kind='random-solenoidal',spectrum={kind='band',largest=1}}}",
+        "initial={field={kind='random-solenoidal',spectrum={kind='band',largest=9223372036854775807}}}",
+        "initial={velocity=1e308,field={kind='random-solenoidal',spectrum={kind='power-law',exponent=-20,largest=3}}}",
     ];
     let all: Vec<String> = numbers.chain(counts).chain(others.map(str::to_owned)).collect();
     for shipped in ["nn-sum-2d", "node-3d", "inverse-2d", "eos-nn-3d"] {

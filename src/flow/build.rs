@@ -32,7 +32,8 @@ pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
 
 /// The pair laws of a scene: its model, and those added to it.
 pub(super) fn laws_of<const D: usize>(scene: &Scene, model: Box<dyn Model<D>>) -> Laws<D> {
-    let added = scene.added_models(model.medium()).into_iter();
+    let laminar = scene.fluid.viscosity.map(|viscosity| viscosity.law(model.medium().clone()));
+    let added = laminar.into_iter().chain(scene.added_models(model.medium()));
     let added = added.map(|(name, model)| PairTerm::new(name, model)).collect();
     Laws { model: PairTerm::new(model.name().to_owned(), model), added }
 }

@@ -4,6 +4,7 @@ mod adjoint;
 mod build;
 mod census;
 mod held;
+pub mod initial;
 mod law;
 mod measure;
 mod state;

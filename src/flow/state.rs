@@ -5,7 +5,6 @@ use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 /// Positions and velocities of all particles at one time, particle `k` in row `k`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,8 +18,8 @@ pub struct State<const D: usize> {
 }
 
 impl<const D: usize> State<D> {
-    /// The lattice of a scene, first particle in the corner, shaken and set in motion by the
-    /// scene's seed.
+    /// The lattice of a scene, first particle in the corner, shaken by the scene's seed, with the
+    /// velocities of the scene's field.
     pub fn initial(scene: &Scene) -> Self {
         let per_side = scene.fluid.particles_per_side;
         let spacing = scene.fluid.box_length / per_side as f64;
@@ -40,11 +39,8 @@ impl<const D: usize> State<D> {
             }
             state.positions.push(space.wrap(shaken));
         }
-        let width = scene.initial.velocity;
-        let mut component = || width * generator.sample::<f64, _>(StandardNormal);
-        for _ in 0..scene.particles() {
-            state.velocities.push(Vector(std::array::from_fn(|_| component())));
-        }
+        let field = &scene.initial.field;
+        state.velocities = field.velocities(scene, &state.positions, &mut generator);
         state
     }
 }
@@ -58,6 +54,10 @@ pub enum Stream {
     Guess = 1,
     /// The weights that a network starts from.
     Weights = 2,
+    /// Phases and directions of a random solenoidal velocity field.
+    Field = 3,
+    /// Amplitudes of the Ornstein–Uhlenbeck forcing.
+    Forcing = 4,
 }
 
 /// A portable generator: the same numbers on every machine.

@@ -17,6 +17,20 @@ pub enum AnyKernel {
     WendlandC4,
     /// A learnable shape at given parameters.
     Table(Arc<KernelTable>),
+    /// Its derivative by one of its parameters: what a field made with it changes by.
+    Derivative(Arc<KernelTable>, usize),
+}
+
+impl AnyKernel {
+    /// The derivative by a parameter; none of a kernel without such a parameter.
+    pub fn derivative(&self, parameter: usize) -> Option<Self> {
+        match self {
+            Self::Table(table) if parameter < table.parameters() => {
+                Some(Self::Derivative(Arc::clone(table), parameter))
+            }
+            _ => None,
+        }
+    }
 }
 
 /// The same call on whichever kernel it is.
@@ -26,7 +40,9 @@ macro_rules! whichever {
             AnyKernel::CubicSpline => CubicSpline.$method($($argument),*),
             AnyKernel::WendlandC2 => WendlandC2.$method($($argument),*),
             AnyKernel::WendlandC4 => WendlandC4.$method($($argument),*),
-            AnyKernel::Table(table) => table.$method($($argument),*),
+            AnyKernel::Table(table) | AnyKernel::Derivative(table, _) => {
+                table.$method($($argument),*)
+            }
         }
     };
 }
@@ -38,6 +54,9 @@ impl Kernel for AnyKernel {
 
     #[inline(always)]
     fn value<T: Scalar>(&self, q: T) -> T {
+        if let Self::Derivative(table, parameter) = self {
+            return table.value_by(*parameter, q);
+        }
         whichever!(self, value(q))
     }
 

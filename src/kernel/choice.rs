@@ -2,6 +2,7 @@
 
 use super::{AnyKernel, NAMES, SHAPES, ShapeKind, ShapeParameter, check_positive};
 use crate::error::{Error, Result};
+use crate::parameters::{Domain, ParameterSpec};
 use serde::de::{MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -86,6 +87,25 @@ impl KernelChoice {
         let classical = [Self::CubicSpline, Self::WendlandC2, Self::WendlandC4];
         let learnable = SHAPES.iter().map(|shape| Self::Learnable(LearnableKernel::start(shape)));
         classical.into_iter().chain(learnable).find(|kernel| kernel.name() == name)
+    }
+
+    /// The parameters of its shape, with their values; none of a classical kernel.
+    pub fn specs(&self) -> Vec<ParameterSpec> {
+        let Self::Learnable(kernel) = self else { return Vec::new() };
+        let spec = |(parameter, value): (&ShapeParameter, f64)| {
+            let [least, most] = parameter.range;
+            ParameterSpec::new(parameter.name, value).within(Domain::Between(least, most))
+        };
+        kernel.shape.parameters.iter().zip(kernel.parameters).map(spec).collect()
+    }
+
+    /// Takes other values of them; whether that changes the kernel.
+    pub fn set(&mut self, values: &[f64]) -> bool {
+        let (Self::Learnable(kernel), &[a, b]) = (self, values) else { return false };
+        let bits = |all: [f64; 2]| all.map(f64::to_bits);
+        let changes = bits(kernel.parameters) != bits([a, b]);
+        kernel.parameters = [a, b];
+        changes
     }
 
     /// The kernel to run in `dimension` 2 or 3.

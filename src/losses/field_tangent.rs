@@ -208,11 +208,21 @@ impl Givers {
 /// cache.
 const NODES: usize = 64;
 
+/// A parameter that the field depends on at a fixed state: of the kernel.
+#[derive(Clone, Copy, Debug)]
+pub struct DirectParameter<'a, const D: usize> {
+    /// `∂V/∂p` by node.
+    pub field: &'a [Vector<f64, D>],
+    /// `∂p/∂(the eight learned parameters)` of each block.
+    pub directions: &'a [Lanes],
+}
+
 /// The loss at consecutive nodes, with its derivatives by the parameters.
 struct LossPass<'a, K, const D: usize> {
     search: &'a Search<'a, K, D>,
     mesh: &'a Mesh<D>,
     blocks: &'a [&'a [PackedSensitivity<D>]],
+    direct: &'a [DirectParameter<'a, D>],
     first: usize,
     truth: &'a [Vector<f64, D>],
     weight: f64,
@@ -223,7 +233,7 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
 
     #[inline(always)]
     fn run<W: Wide>(self) -> SquareSum {
-        let Self { search, mesh, blocks, first, truth, weight } = self;
+        let Self { search, mesh, blocks, direct, first, truth, weight } = self;
         let count = blocks.len();
         let mut sum = SquareSum::new(count);
         let mut columns = vec![Lanes::ZERO; NODES * D * count];
@@ -240,6 +250,12 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
             for (b, block) in blocks.iter().enumerate() {
                 let next = blocks.get(b + 1).copied().unwrap_or_default();
                 givers.differentiate::<W::Double, D>([block, next], &mut columns[b..], count);
+                for parameter in direct {
+                    let nodes = parameter.field[first + group * NODES..].iter().take(truth.len());
+                    for (k, by) in nodes.flat_map(|node| node.0).enumerate() {
+                        columns[k * count + b] += parameter.directions[b] * by;
+                    }
+                }
             }
             sum.add_rows::<W>(weight, &residuals, &columns);
         }
@@ -250,11 +266,12 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
 /// One frame's share of `L_f`, the mean over nodes, components and frames of `(V − V̂)²`.
 ///
 /// `truth` is `V̂` on the same mesh, `weight` the loss's weight over the number of frames. The
-/// gradient runs through position, velocity and density of every particle in reach.
+/// gradient runs through position, velocity and density of every particle in reach, and through the parameters that
+/// the field depends on by itself.
 pub fn field_loss<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
-    blocks: &[&[PackedSensitivity<D>]],
+    (blocks, direct): (&[&[PackedSensitivity<D>]], &[DirectParameter<'_, D>]),
     (truth, weight): (&[Vector<f64, D>], f64),
 ) -> SquareSum {
     let mut sum = SquareSum::new(blocks.len());
@@ -266,7 +283,7 @@ pub fn field_loss<K: Kernel, const D: usize>(
     let search = &Search::new(points);
     let part = |(chunk, truth): (usize, &[Vector<f64, D>])| {
         let first = chunk * CHUNK;
-        dispatch(LossPass { search, mesh, blocks, first, truth, weight })
+        dispatch(LossPass { search, mesh, blocks, direct, first, truth, weight })
     };
     let parts: Vec<SquareSum> = truth.par_chunks(CHUNK).enumerate().map(part).collect();
     parts.iter().for_each(|part| sum.merge(part));

@@ -14,7 +14,7 @@ mod statistical;
 mod trajectory;
 
 pub use field::{Points, field, field_adjoint, field_value};
-pub use field_tangent::field_loss;
+pub use field_tangent::{DirectParameter, field_loss};
 pub use increments::{
     Density1d, FEWEST_NODES, IncrementDensities, IncrementLoss, increment_loss, sampling_floor,
 };

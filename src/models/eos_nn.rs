@@ -116,6 +116,20 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
         true
     }
 
+    fn has_later_parameters(&self) -> bool {
+        self.medium.kernel_scalars() > 0
+    }
+
+    #[inline(always)]
+    fn by_later_parameter<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        parameter: usize,
+        _: &mut Room,
+    ) -> Option<Vector<W, D>> {
+        self.medium.by_kernel(pairs, pairs.stress_i + pairs.stress_j, parameter)
+    }
+
     fn parts(&self) -> &'static [&'static str] {
         &["pressure", "viscosity"]
     }

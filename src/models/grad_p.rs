@@ -103,6 +103,21 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
         true
     }
 
+    fn has_later_parameters(&self) -> bool {
+        self.medium.kernel_scalars() > 0
+    }
+
+    #[inline(always)]
+    fn by_later_parameter<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        parameter: usize,
+        room: &mut Room,
+    ) -> Option<Vector<W, D>> {
+        let stresses = self.stresses(pairs, room);
+        self.medium.by_kernel(pairs, stresses, parameter)
+    }
+
     fn parts(&self) -> &'static [&'static str] {
         &["pressure", "viscosity"]
     }

@@ -1,7 +1,7 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
 
 use super::{CentralSlope, PairCotangent};
-use crate::kernel::{AnyKernel, Smoothing};
+use crate::kernel::{AnyKernel, Kernel, KernelChoice, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::parameters::{Coordinate, Domain, Parameter, ParameterSpec};
 use crate::scalar::{Scalar, Wide};
@@ -55,6 +55,8 @@ pub struct Medium<const D: usize> {
     pub mass: f64,
     /// The kernel at the scene's smoothing length.
     pub smoothing: Smoothing<AnyKernel, D>,
+    /// The same kernel as a scene spells it.
+    pub kernel: KernelChoice,
     /// The constants of the fluid.
     pub fluid: FluidConstants,
 }
@@ -83,25 +85,47 @@ impl<const D: usize> Medium<D> {
         Self {
             mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
             smoothing: Smoothing::of(fluid.kernel.in_dimension(D), fluid.smoothing_length),
+            kernel: fluid.kernel,
             fluid: fluid.constants(),
         }
     }
 
-    /// The parameters of every model that stands on it: the fluid's constants.
+    /// The parameters of every model that stands on it: the fluid's constants, then those of the kernel's shape.
     pub fn specs(&self) -> Vec<ParameterSpec> {
-        self.fluid.specs().to_vec()
+        let mut specs = self.fluid.specs().to_vec();
+        specs.extend(self.kernel_specs());
+        specs
     }
 
     /// Puts other values of them in force.
     pub fn set(&mut self, values: &[f64]) {
-        if let [c, alpha, beta, gamma, p0, ..] = *values {
+        if let [c, alpha, beta, gamma, p0, kernel @ ..] = values {
+            let [c, alpha, beta, gamma, p0] = [*c, *alpha, *beta, *gamma, *p0];
             self.fluid = FluidConstants { c, alpha, beta, gamma, p0 };
+            self.set_kernel(kernel);
         }
     }
 
     /// How many parameters it has.
     pub fn scalars(&self) -> usize {
-        FluidConstants::COUNT
+        FluidConstants::COUNT + self.kernel_scalars()
+    }
+
+    /// The parameters of the kernel's shape.
+    pub fn kernel_specs(&self) -> Vec<ParameterSpec> {
+        self.kernel.specs()
+    }
+
+    /// How many these are.
+    pub fn kernel_scalars(&self) -> usize {
+        self.smoothing.kernel().parameters()
+    }
+
+    /// Puts other values of them in force.
+    pub fn set_kernel(&mut self, values: &[f64]) {
+        if self.kernel.set(values) {
+            self.smoothing = Smoothing::of(self.kernel.in_dimension(D), self.smoothing.h);
+        }
     }
 
     /// Whether `Π` vanishes for every pair; its derivatives by `α` and `β` do not.
@@ -165,6 +189,21 @@ impl<const D: usize> Medium<D> {
     pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
+    }
+
+    /// `∂f/∂` of a parameter of the kernel, of eight pairs whose stresses sum to `X`: `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`; `None`
+    /// for a place among the scalars that is not the kernel's.
+    #[inline(always)]
+    pub fn by_kernel<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        stresses: W,
+        scalar: usize,
+    ) -> Option<Vector<W, D>> {
+        let parameter = scalar.checked_sub(FluidConstants::COUNT)?;
+        let by = self.smoothing.gradient_by(parameter, pairs.pair.r2.sqrt());
+        let viscous = monaghan(&pairs.pair, self.smoothing.h, &self.viscosity());
+        Some(pairs.separation * ((stresses + viscous) * by * -self.mass))
     }
 
     /// The pullback of the force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.

@@ -30,6 +30,7 @@
 //! needs more (a network, every cycle) implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
 
 mod central;
+mod laminar;
 mod medium;
 mod pairwise;
 mod room;
@@ -39,6 +40,7 @@ mod tangent;
 mod window;
 
 pub use central::{Central, CentralForce};
+pub use laminar::{LaminarViscosity, MonaghanCleary, Morris};
 pub use medium::{FluidConstants, Medium, Strength};
 pub use room::{Learned, Room};
 pub use scales::Scales;
@@ -314,8 +316,9 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
+        room: &mut Room,
     ) -> Option<Vector<W, D>> {
-        let _ = (pairs, parameter);
+        let _ = (pairs, parameter, room);
         None
     }
 

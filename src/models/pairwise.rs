@@ -3,7 +3,7 @@
 use super::tangent::MOST_ROWS;
 use super::{
     ForceOutput, Form, Kept, Learned, Medium, Model, PairCotangent, PairLaw, PairRows, PairShare,
-    Passed, Room, Slope, Slopes, Slots, store_vector,
+    Passed, Room, Slope, Slopes, Slots, slope::add_lanes, store_vector,
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
@@ -155,7 +155,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
                 let slope = law.slope(&batch, room);
                 slope.write(&mut pairs);
                 into.push::<<L::Slope<W> as Slope<W, D>>::Rows, D>(eight, lines.nobody(), &pairs);
-                add_direct::<W, L, D>(law, (&batch, &slope), &mut direct);
+                add_direct::<W, L, D>((law, room), (&batch, &slope), &mut direct);
             }
             let pull = |r: f64| smoothing.gradient(r) * *mass;
             into.close::<W::Double, <L::Slope<W> as Slope<W, D>>::Rows, D>(kept, &direct, pull);
@@ -168,7 +168,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
 /// the law's parameters where there is room for them.
 #[inline(always)]
 fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
-    law: &L,
+    (law, room): (&L, &mut Room),
     (batch, slope): (&Batch<W, D>, &L::Slope<W>),
     sums: &mut [Lanes],
 ) {
@@ -181,20 +181,14 @@ fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
     if parameters.is_empty() {
         return;
     }
-    let first = <L::ByParameter<W> as Slots<W>>::zero().as_ref().len();
-    for (parameter, sums) in parameters.chunks_exact_mut(D).enumerate() {
-        if parameter < first {
-            add_lanes(sums, slope.by_parameter(parameter));
-        } else if let Some(by) = law.by_later_parameter(batch, parameter) {
-            add_lanes(sums, by);
+    slope.add_by_parameter(parameters);
+    if law.has_later_parameters() {
+        let first = <L::ByParameter<W> as Slots<W>>::zero().as_ref().len();
+        for (parameter, sums) in parameters.chunks_exact_mut(D).enumerate().skip(first) {
+            if let Some(by) = law.by_later_parameter(batch, parameter, room) {
+                add_lanes(sums, by);
+            }
         }
-    }
-}
-
-#[inline(always)]
-fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<W, D>) {
-    for (axis, sum) in sums.iter_mut().enumerate() {
-        *sum = (W::Double::load(sum) + by[axis].widen()).store();
     }
 }
 
@@ -274,7 +268,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
                 let passed = law.pullback(&batch, across, room);
                 add_own(&mut sum, &passed);
                 for parameter in later.clone() {
-                    if let Some(by) = law.by_later_parameter(&batch, parameter) {
+                    if let Some(by) = law.by_later_parameter(&batch, parameter, room) {
                         let sum = &mut room.scalars[parameter];
                         *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
                     }

@@ -52,6 +52,20 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
         true
     }
 
+    fn has_later_parameters(&self) -> bool {
+        self.0.kernel_scalars() > 0
+    }
+
+    #[inline(always)]
+    fn by_later_parameter<W: Wide>(
+        &self,
+        pairs: &Batch<W, D>,
+        parameter: usize,
+        _: &mut Room,
+    ) -> Option<Vector<W, D>> {
+        self.0.by_kernel(pairs, pairs.stress_i + pairs.stress_j, parameter)
+    }
+
     fn parts(&self) -> &'static [&'static str] {
         &["pressure", "viscosity"]
     }

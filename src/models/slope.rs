@@ -37,8 +37,8 @@ pub trait Slope<W: Wide, const D: usize> {
         [Vector::zero(); 2]
     }
 
-    /// `∂f` by one of the law's first parameters.
-    fn by_parameter(&self, parameter: usize) -> Vector<W, D>;
+    /// Adds `∂f` by each of the law's first parameters to as many sums, `[parameter][axis]`.
+    fn add_by_parameter(&self, sums: &mut [Lanes]);
 
     /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by what they depend on.
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, Self::ByParameter>;
@@ -143,6 +143,14 @@ impl<W: Wide, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
     }
 }
 
+/// Adds every component to sums in memory.
+#[inline(always)]
+pub(super) fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<W, D>) {
+    for (axis, sum) in sums.iter_mut().enumerate() {
+        *sum = (W::Double::load(sum) + by[axis].widen()).store();
+    }
+}
+
 /// Every component from memory.
 #[inline(always)]
 pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) -> Vector<W, D> {
@@ -186,8 +194,10 @@ impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P>
     }
 
     #[inline(always)]
-    fn by_parameter(&self, parameter: usize) -> Vector<W, D> {
-        self.separation * self.by_parameter.as_ref()[parameter]
+    fn add_by_parameter(&self, sums: &mut [Lanes]) {
+        for (sums, by) in sums.chunks_exact_mut(D).zip(self.by_parameter.as_ref()) {
+            add_lanes(sums, self.separation * *by);
+        }
     }
 
     #[inline(always)]
@@ -271,8 +281,10 @@ impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
     }
 
     #[inline(always)]
-    fn by_parameter(&self, parameter: usize) -> Vector<W, D> {
-        self.by_parameter[parameter]
+    fn add_by_parameter(&self, sums: &mut [Lanes]) {
+        for (sums, by) in sums.chunks_exact_mut(D).zip(self.by_parameter) {
+            add_lanes(sums, by);
+        }
     }
 
     #[inline(always)]

@@ -8,6 +8,7 @@ use crate::recording::{Frame, Recorder};
 use crate::scene::Scene;
 use crate::sensitivity::{Gradient, Storage};
 use crate::systems::Program;
+use crate::systems::term::Term;
 use serde::Serialize;
 
 /// What one World requires, and what stands beside it.
@@ -15,6 +16,8 @@ use serde::Serialize;
 pub struct Requirements {
     /// Whose World it is.
     pub about: &'static str,
+    /// Its terms in order, with the names of their parameters; the weights of a network are one entry.
+    pub terms: Vec<(String, Vec<String>)>,
     /// What runs, in words, and its systems in order.
     pub programs: Vec<(&'static str, Vec<String>)>,
     /// Columns that are held throughout.
@@ -81,7 +84,8 @@ impl Requirements {
         let programs = flow.programs().into_iter().map(named).collect();
         // The tape of a search is told by its steps; what is left of one here is the same memory.
         let held = flow.held().into_iter().filter(|column| column.part != "tape").collect();
-        Self { about, programs, held, each_step: flow.tape_of_a_step() }
+        let terms = flow.terms().map(|term| (term.name(), parameters_of(term))).collect();
+        Self { about, terms, programs, held, each_step: flow.tape_of_a_step() }
     }
 
     /// What an adjoint keeps of the way forward, by its storage.
@@ -135,7 +139,10 @@ impl Requirements {
 
     /// All of it in words, line by line.
     pub fn lines(&self) -> Vec<String> {
-        let mut lines = Vec::new();
+        let mut lines = vec![format!("{}: terms, with their parameters:", self.about)];
+        for (name, parameters) in &self.terms {
+            lines.push(format!("  {name:30} {}", parameters.join(", ")).trim_end().to_owned());
+        }
         for (name, systems) in &self.programs {
             lines.push(format!("{}: {name} runs, in this order:", self.about));
             lines.extend(systems.iter().map(|system| format!("  {system}")));
@@ -150,6 +157,18 @@ impl Requirements {
         }
         lines
     }
+}
+
+/// Names of a term's parameters.
+fn parameters_of<const D: usize>(term: &dyn Term<D>) -> Vec<String> {
+    let specs = term.parameters();
+    let weights = specs.iter().filter(|spec| spec.is_weight).count();
+    let mut names: Vec<String> =
+        specs.iter().filter(|spec| !spec.is_weight).map(|spec| spec.name.to_string()).collect();
+    if weights > 0 {
+        names.push(format!("{weights} weights"));
+    }
+    names
 }
 
 /// Parts with their sums, and below each its columns.

@@ -2,13 +2,14 @@
 
 use super::{Forcing, Learn, Optimiser, Scene, Speed, Weights};
 use crate::error::{Error, Result};
+use crate::forcing::ornstein_uhlenbeck::WIDEST;
 use crate::losses::FEWEST_NODES;
 use crate::models::ModelChoice;
 use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
-type Requirement = (bool, &'static str, &'static str, String);
+pub(crate) type Requirement = (bool, &'static str, &'static str, String);
 
 impl Scene {
     /// Refuses numbers that no run could use; `origin` names the scene in the error.
@@ -16,6 +17,7 @@ impl Scene {
         let mut requirements = self.accuracy_requirements();
         requirements.extend(self.fluid_requirements());
         requirements.extend(self.motion_requirements());
+        requirements.extend(self.initial.field.requirements(self));
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
@@ -140,6 +142,12 @@ impl Scene {
             (f.beta >= 0.0 && f.beta.is_finite(), "fluid.beta", "zero or more", show(f.beta)),
             (f.p0.is_finite(), "fluid.p0", "a number", show(f.p0)),
             (
+                f.viscosity.is_none_or(|v| v.nu() >= 0.0 && v.nu().is_finite()),
+                "fluid.viscosity.nu",
+                "zero or more",
+                show(f.viscosity.map_or(0.0, |v| v.nu())),
+            ),
+            (
                 self.terms.values().flat_map(|values| values.values()).all(|x| x.is_finite()),
                 "terms",
                 "finite values of all parameters",
@@ -196,6 +204,21 @@ fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
         Forcing::Stochastic { interval, strength } => vec![
             (positive(interval), "forcing.interval", "a positive time", show(interval)),
             (strength.is_finite(), "forcing.strength", "a number", show(strength)),
+        ],
+        Forcing::OrnsteinUhlenbeck { power, correlation_time, band } => vec![
+            (positive(power), "forcing.power", "a positive power", show(power)),
+            (
+                positive(correlation_time) && (power / correlation_time).is_finite(),
+                "forcing.correlation_time",
+                "a positive time, over which the power is a finite number",
+                show(correlation_time),
+            ),
+            (
+                (1.0..=WIDEST).contains(&band),
+                "forcing.band",
+                "a wave number between 1 and 8, so that there are waves and few of them",
+                show(band),
+            ),
         ],
     }
 }

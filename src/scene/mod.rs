@@ -10,14 +10,16 @@ mod learn;
 mod read;
 
 pub use accuracy::{Chosen, Speed};
+pub(crate) use check::Requirement;
 pub use guests::{Guests, Values};
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
 use crate::error::{Error, Result};
+use crate::flow::initial::Field;
 use crate::forcing::Power;
 pub use crate::kernel::{KernelChoice, KernelName};
-use crate::models::{FluidConstants, ModelChoice};
+use crate::models::{FluidConstants, LaminarViscosity, ModelChoice};
 use crate::parameters::{Parameter, ParameterSpec, Parameters};
 pub use crate::scalar::Precision;
 use crate::sensitivity::Gradient;
@@ -106,6 +108,9 @@ pub struct Fluid {
     pub beta: f64,
     /// Exponent `γ` of the equation of state.
     pub gamma: f64,
+    /// Laminar viscosity, beside the artificial one of `alpha` and `beta`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub viscosity: Option<LaminarViscosity>,
     /// Background pressure `p₀`, added to that of the equation of state.
     #[serde(default, skip_serializing_if = "defaults::is_zero")]
     pub p0: f64,
@@ -119,20 +124,28 @@ impl Fluid {
     }
 }
 
-/// The initial state: a lattice with its first particle in the corner, shaken.
+/// The initial state: a lattice with its first particle in the corner, shaken, and the velocities of a
+/// field at the places where that puts the particles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Each coordinate is moved by a uniform number in `±jitter`.
     pub jitter: f64,
-    /// Each velocity component is drawn from a normal distribution of this width.
+    /// Amplitude of the velocity field: width of the normal distribution, largest velocity `U` of
+    /// Taylor–Green, factor on the ABC flow, rms `u'` of one component of the random solenoidal field.
     pub velocity: f64,
+    /// The velocity field, [`crate::flow::initial`]: a table, or its name alone.
+    #[serde(
+        skip_serializing_if = "Field::is_default",
+        deserialize_with = "Field::by_table_or_name"
+    )]
+    pub field: Field,
 }
 
 impl Default for Initial {
-    /// The paper's: jitter 0.0025, unit velocities.
+    /// The paper's: jitter 0.0025, normal velocities of unit width.
     fn default() -> Self {
-        Self { jitter: 0.0025, velocity: 1.0 }
+        Self { jitter: 0.0025, velocity: 1.0, field: Field::default() }
     }
 }
 
@@ -169,6 +182,16 @@ pub enum Forcing {
         /// Factor on the paper's amplitudes.
         #[serde(default = "defaults::one")]
         strength: f64,
+    },
+    /// Random large-scale waves with a memory, [`crate::forcing::ornstein_uhlenbeck`].
+    OrnsteinUhlenbeck {
+        /// Power per unit mass `P` into a flow whose large eddies live longer than the correlation time.
+        power: f64,
+        /// Correlation time `T`.
+        correlation_time: f64,
+        /// The longest wave vector, in units of `2π/L`.
+        #[serde(default = "defaults::band")]
+        band: f64,
     },
 }
 
@@ -237,6 +260,9 @@ mod defaults {
     }
     pub(super) fn one() -> f64 {
         1.0
+    }
+    pub(super) fn band() -> f64 {
+        2.5
     }
     pub(super) fn courant() -> f64 {
         0.4
@@ -308,15 +334,21 @@ impl Scene {
         spacings * spacing / self.fluid.smoothing_length
     }
 
-    /// The time step.
+    /// The time step: where it is not given, `courant · h/c`, or `h²/8ν` of a laminar viscosity where that is less
+    /// (Morris, Fox & Zhu 1997).
     pub fn dt(&self) -> f64 {
-        self.time.dt.unwrap_or(self.time.courant * self.fluid.smoothing_length / self.fluid.c)
+        let h = self.fluid.smoothing_length;
+        let acoustic = self.time.courant * h / self.fluid.c;
+        let nu = self.fluid.viscosity.map_or(0.0, LaminarViscosity::nu);
+        self.time.dt.unwrap_or(if nu > 0.0 { acoustic.min(0.125 * h * h / nu) } else { acoustic })
     }
 
     /// The parameters that make the truth, but for weights: those of the fluid, of the forcing and of the terms that the
     /// scene names.
     pub fn parameters(&self) -> Parameters {
         let mut specs = self.fluid.constants().specs().to_vec();
+        specs.extend(self.fluid.kernel.specs());
+        specs.extend(self.fluid.viscosity.map(LaminarViscosity::spec));
         if let Forcing::Deterministic { theta, .. } = self.forcing {
             specs.push(ParameterSpec::new(Parameter::THETA, theta));
         }

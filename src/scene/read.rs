@@ -36,6 +36,12 @@ const INVERSE: [Shipped; 3] = [
 /// A statistical loss leads `c, α, β, γ` home only from nearby: the field loss goes first.
 const FIELD_FIRST: &str = "learn.warm_up={windows=[1,3],iterations=8}";
 
+/// What the physics of the hierarchy learns.
+const PHYSICAL: &str = "learn.parameters=['c','alpha','beta','gamma']";
+
+/// Its search comes home sooner when it may pass below zero.
+const UNBOUNDED: &str = "learn.unbounded=['alpha','beta','gamma']";
+
 const HIERARCHY_3D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-3d.toml":
     "node-3d" ["learn.model={kind='node',height=5,nearest=20}"];
     "nn-sum-3d" ["learn.model={kind='nn-sum',height=5}"];
@@ -48,7 +54,7 @@ const HIERARCHY_3D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-3d.toml":
         "learn.windows=[1,3]",
         "learn.iterations=60",
     ];
-    "physics-3d" ["learn.parameters=['c','alpha','beta','gamma']", FIELD_FIRST];
+    "physics-3d" [PHYSICAL, UNBOUNDED, FIELD_FIRST];
 };
 
 const HIERARCHY_2D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-2d.toml":
@@ -63,7 +69,7 @@ const HIERARCHY_2D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-2d.toml":
         "learn.windows=[1,3]",
         "learn.iterations=60",
     ];
-    "physics-2d" ["learn.parameters=['c','alpha','beta','gamma']", FIELD_FIRST];
+    "physics-2d" [PHYSICAL, UNBOUNDED, FIELD_FIRST];
 };
 
 /// Every scene that is compiled in.

@@ -1,12 +1,15 @@
 //! Forcing as terms: appendix A.3 over the cloud, with tangents and pullbacks.
 
 mod deterministic;
+mod ornstein_uhlenbeck;
 mod stochastic;
 
 pub use deterministic::DeterministicForcing;
+pub use ornstein_uhlenbeck::OrnsteinUhlenbeckForcing;
 pub use stochastic::StochasticForcing;
 
 use super::term::Term;
+use crate::forcing::ornstein_uhlenbeck::Settings;
 use crate::scene::{Forcing, Scene};
 
 /// The terms of a scene's forcing: none where there is none.
@@ -18,6 +21,10 @@ pub fn terms<const D: usize>(scene: &Scene) -> Vec<Box<dyn Term<D>>> {
         }
         Forcing::Stochastic { interval, strength } => {
             vec![Box::new(StochasticForcing::new(scene.seed, interval, strength))]
+        }
+        Forcing::OrnsteinUhlenbeck { power, correlation_time, band } => {
+            let settings = Settings { power, correlation_time, band };
+            vec![Box::new(OrnsteinUhlenbeckForcing::new(scene, settings))]
         }
     }
 }

@@ -1,11 +1,11 @@
 //! The statistical loss as a term: velocity increments against the truth's.
 
-use super::{FrameLoss, LossPart, Seen};
+use super::{FrameLoss, LossPart, Seen, packed};
 use crate::losses::{
     GradientSum, IncrementDensities, StateAdjoint, statistical_adjoint, statistical_loss,
 };
-use crate::packed::PackedSensitivity;
 use crate::scene::Times;
+use crate::systems::particles::SensitivityBlock;
 
 /// [`statistical_loss`].
 #[derive(Clone, Copy, Debug)]
@@ -27,15 +27,10 @@ impl<const D: usize> FrameLoss<D> for StatisticalLoss {
         LossPart::Gradient(GradientSum::new(blocks))
     }
 
-    fn accumulate(
-        &self,
-        seen: &Seen<'_, D>,
-        blocks: &[&[PackedSensitivity<D>]],
-        sum: &mut LossPart,
-    ) {
+    fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let (LossPart::Gradient(sum), Some(truth)) = (sum, truth(seen)) else { return };
         let particles = (seen.cloud.particles(), &seen.cloud.slot_of_row[..]);
-        sum.merge(&statistical_loss(particles, blocks, &seen.observations.start, truth));
+        sum.merge(&statistical_loss(particles, &packed(blocks), &seen.observations.start, truth));
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {

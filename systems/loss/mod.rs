@@ -13,7 +13,7 @@ pub use trajectory::TrajectoryLoss;
 use super::acceleration::Laws;
 use super::neighbours::Neighbours;
 use super::packing;
-use super::particles::{Cloud, SensitivityCloud};
+use super::particles::{Cloud, SensitivityBlock, SensitivityCloud};
 use super::tape::{Tape, add_loss};
 use super::term::{Stage, Term};
 use super::verlet::Clock;
@@ -83,6 +83,8 @@ pub struct Seen<'a, const D: usize> {
     pub is_last: bool,
     /// The flow: mass, kernel, parameters.
     pub medium: &'a Medium<D>,
+    /// Places of the medium's parameters in the flat vector.
+    pub places: &'a [usize],
     /// Cells and box.
     pub neighbours: &'a Neighbours<D>,
     /// Particles in cell order.
@@ -98,12 +100,7 @@ pub trait FrameLoss<const D: usize>: Debug + Send + Sync + 'static {
     fn empty(&self, blocks: usize) -> LossPart;
 
     /// Adds a frame's share, with its gradient by the parameters of each block of sensitivities.
-    fn accumulate(
-        &self,
-        seen: &Seen<'_, D>,
-        blocks: &[&[PackedSensitivity<D>]],
-        sum: &mut LossPart,
-    );
+    fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart);
 
     /// A frame's share, with its derivatives by the state of every particle; none where it has no share.
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>>;
@@ -112,6 +109,11 @@ pub trait FrameLoss<const D: usize>: Debug + Send + Sync + 'static {
     fn value(&self, seen: &Seen<'_, D>) -> f64 {
         self.adjoint(seen).map_or(0.0, |adjoint| adjoint.value)
     }
+}
+
+/// The sensitivities of particles, block by block.
+fn packed<const D: usize>(blocks: &[SensitivityBlock<D>]) -> Vec<&[PackedSensitivity<D>]> {
+    blocks.iter().map(|block| &block.packed[..]).collect()
 }
 
 /// The losses that observations ask for, in the order in which they are summed; one of weight zero is not computed.
@@ -267,6 +269,7 @@ impl<const D: usize> Comparison<'_, D> {
             frame,
             is_last,
             medium: self.laws.model().medium(),
+            places: self.laws.model.scalars(),
             neighbours: &self.neighbours,
             cloud: &self.cloud,
         })
@@ -280,12 +283,9 @@ pub fn accumulate_loss<const D: usize>(
     mut sum: ResMut<LossSum>,
 ) {
     let Some(seen) = comparison.seen() else { return };
-    let blocks: Vec<_> = match &sensitivities {
-        Some(cloud) => cloud.blocks.iter().map(|block| block.packed.as_slice()).collect(),
-        None => Vec::new(),
-    };
+    let blocks = sensitivities.as_ref().map_or(&[][..], |cloud| &cloud.blocks);
     for (loss, (_, part)) in comparison.losses.0.iter().zip(&mut sum.parts) {
-        loss.accumulate(&seen, &blocks, part);
+        loss.accumulate(&seen, blocks, part);
     }
 }
 

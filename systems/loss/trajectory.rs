@@ -1,8 +1,8 @@
 //! The trajectory loss as a term: every particle against its true self.
 
-use super::{FrameLoss, LossPart, Seen};
+use super::{FrameLoss, LossPart, Seen, packed};
 use crate::losses::{SquareSum, StateAdjoint, trajectory_adjoint, trajectory_loss};
-use crate::packed::PackedSensitivity;
+use crate::systems::particles::SensitivityBlock;
 use crate::vector::Vector;
 
 /// [`trajectory_loss`].
@@ -27,15 +27,10 @@ impl<const D: usize> FrameLoss<D> for TrajectoryLoss {
         LossPart::Squares(SquareSum::new(blocks))
     }
 
-    fn accumulate(
-        &self,
-        seen: &Seen<'_, D>,
-        blocks: &[&[PackedSensitivity<D>]],
-        sum: &mut LossPart,
-    ) {
+    fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let LossPart::Squares(sum) = sum else { return };
         let weight = (seen.neighbours.space, seen.observations.trajectory);
-        sum.merge(&trajectory_loss(seen.cloud.particles(), blocks, truth(seen), weight));
+        sum.merge(&trajectory_loss(seen.cloud.particles(), &packed(blocks), truth(seen), weight));
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {

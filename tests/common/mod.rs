@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use whirls::flow::State;
 use whirls::forcing::Power;
+use whirls::learn::Evaluation;
 use whirls::parameters::Parameter;
 use whirls::scene::{Forcing, KernelName};
 use whirls::space::PeriodicBox;
@@ -21,11 +22,15 @@ pub(crate) const KERNELS: [KernelName; 3] =
     [KernelName::CubicSpline, KernelName::WendlandC2, KernelName::WendlandC4];
 
 /// Every kind of forcing, with its name.
-pub(crate) const FORCINGS: [(&str, Forcing); 4] = [
+pub(crate) const FORCINGS: [(&str, Forcing); 5] = [
     ("none", Forcing::None),
     ("paper", Forcing::Deterministic { theta: 0.5, power: Power::Paper }),
     ("exact", Forcing::Deterministic { theta: 0.5, power: Power::Exact }),
     ("stochastic", Forcing::Stochastic { interval: 0.05, strength: 1.0 }),
+    (
+        "ornstein-uhlenbeck",
+        Forcing::OrnsteinUhlenbeck { power: 0.5, correlation_time: 0.3, band: 2.5 },
+    ),
 ];
 
 /// Turns each promise `fn promise<const D: usize>()` into one test per dimension.
@@ -177,6 +182,45 @@ pub(crate) fn largest(numbers: impl Iterator<Item = f64>) -> f64 {
 pub(crate) fn acceleration_round_off(scene: &Scene) -> f64 {
     let rate = scene.fluid.c / scene.fluid.smoothing_length;
     100.0 * rate * rate * f64::EPSILON * scene.fluid.box_length
+}
+
+/// How a gradient stands against differences of its loss along a direction.
+#[derive(Debug)]
+pub(crate) struct TaylorTest {
+    /// How far the best of several central differences is from the slope that the gradient gives, as a share of it or of
+    /// a thousandth of both lengths where that is more.
+    pub(crate) difference: f64,
+    /// By which power of the step the remainder `L(x + s d) − L(x) − s g·d` falls: two for an exact gradient, one for
+    /// any other.
+    pub(crate) slope: f64,
+}
+
+/// Differences of a loss along a direction against an evaluation's gradient.
+pub(crate) fn taylor_slope(
+    loss: &mut impl FnMut(&[f64]) -> f64,
+    (at, direction): (&[f64], &[f64]),
+    found: &Evaluation,
+) -> TaylorTest {
+    let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let exact: f64 = found.gradient.iter().zip(direction).map(|(g, d)| g * d).sum();
+    let size = exact.abs().max(1e-3 * length(&found.gradient) * length(direction));
+    let mut loss =
+        |step: f64| loss(&at.iter().zip(direction).map(|(x, d)| x + step * d).collect::<Vec<_>>());
+    let mut difference = f64::INFINITY;
+    for step in [1e-4, 1e-5, 1e-6, 1e-3, 3e-5, 3e-6] {
+        let near = loss(step) - loss(-step);
+        let far = loss(2.0 * step) - loss(-2.0 * step);
+        for slope in [near / (2.0 * step), (8.0 * near - far) / (12.0 * step)] {
+            difference = difference.min((slope - exact).abs() / size);
+        }
+    }
+    // Steps so long that the remainder stands above round-off of the loss, so short that it is a parabola.
+    let remainder = |step: f64| (step, (loss(step) - found.loss - step * exact).abs());
+    let steps = [3e-2, 1e-2, 3e-3, 1e-3, 3e-4];
+    let remainders: Vec<(f64, f64)> = steps.map(remainder).to_vec();
+    let floor = 1e4 * f64::EPSILON * found.loss;
+    let above: Vec<_> = remainders.into_iter().filter(|(_, y)| *y > floor).collect();
+    TaylorTest { difference, slope: slope(&above) }
 }
 
 /// The slope of `ln y` over `ln x` by least squares: the order that errors `y` at steps `x` show.

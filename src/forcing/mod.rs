@@ -1,4 +1,7 @@
-//! What stirs the flow, appendix A.3: deterministic energy injection and stochastic large-scale modes.
+//! What stirs the flow: deterministic energy injection and stochastic large-scale modes, appendix A.3, and
+//! the stochastic forcing with a memory of Eswaran & Pope, [`ornstein_uhlenbeck`].
+
+pub mod ornstein_uhlenbeck;
 
 use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};

@@ -1,0 +1,42 @@
+//! The Taylor–Green vortex.
+
+use super::VelocityField;
+use crate::scene::{Requirement, Scene};
+use crate::vector::Vector;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// `u = U (sin kx cos ky, −cos kx sin ky)` in two dimensions, and in three
+/// `u = U (sin kx cos ky cos kz, −cos kx sin ky cos kz, 0)`, with `k = 2π/L` and `U = initial.velocity`.
+///
+/// Free of divergence. In two dimensions it keeps its form and decays as `e^{−2νk²t}`; in three it
+/// breaks into turbulence (Taylor & Green 1937, doi:10.1098/rspa.1937.0036; Brachet et al. 1983,
+/// doi:10.1017/S0022112083001159). `½⟨|u|²⟩ = U²/4` in two dimensions, `U²/8` in three.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaylorGreen {}
+
+impl VelocityField for TaylorGreen {
+    fn requirements(&self, _: &Scene) -> Vec<Requirement> {
+        Vec::new()
+    }
+
+    fn velocities<const D: usize>(
+        &self,
+        scene: &Scene,
+        positions: &[Vector<f64, D>],
+        _: &mut ChaCha8Rng,
+    ) -> Vec<Vector<f64, D>> {
+        let k = TAU / scene.fluid.box_length;
+        let at = |r: &Vector<f64, D>| velocity(r.map(|x| k * x)) * scene.initial.velocity;
+        positions.iter().map(at).collect()
+    }
+}
+
+/// The velocity at `kr`, of unit amplitude.
+fn velocity<const D: usize>(angles: Vector<f64, D>) -> Vector<f64, D> {
+    let [x, y, z] = angles.to_3d();
+    let depth = z.cos(); // z = 0 in two dimensions
+    Vector::from_3d([x.sin() * y.cos() * depth, -x.cos() * y.sin() * depth, 0.0])
+}
