@@ -513,7 +513,8 @@ fn stirring_adds_no_memory_and_one_system_to_an_evaluation<const D: usize>() {
             let way = if gradient == Gradient::Forward { Way::Forward } else { Way::Adjoint };
             assert_eq!(found.systems("one step"), step_of(&scene, way), "{name}");
             let all = found.programs.iter().flat_map(|(_, systems)| systems);
-            let forced = all.filter(|system| system.starts_with("forcing::")).count();
+            let stirs = ["deterministic::", "stochastic::", "ornstein_uhlenbeck::"];
+            let forced = all.filter(|system| stirs.iter().any(|s| system.starts_with(s))).count();
             assert_eq!(forced > 0, forcing != Forcing::None, "{name}: {forced} systems");
         }
     }

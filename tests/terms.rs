@@ -132,7 +132,7 @@ fn a_drag_and_a_pair_law_of_a_callers_own_have_exact_gradients<const D: usize>()
                 let mut at = |x: &[f64]| backward.evaluate(x, FRAMES).unwrap().loss;
                 let found = taylor_slope(&mut at, (&AT, &direction), &a);
                 assert!(found.difference < 1e-6, "{D}D {step} {loss}: {found:?}");
-                assert!((found.slope - 2.0).abs() < 0.1, "{D}D {step} {loss}: {found:?}");
+                assert!(found.slope > 1.9, "{D}D {step} {loss}: {found:?}");
             }
         }
     }

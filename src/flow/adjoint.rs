@@ -6,8 +6,8 @@ use crate::systems::columns::{Column, Kept};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, Identity, Position, PositionAdjoint,
-    Velocity, VelocityAdjoint,
+    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, Identity, Particles, Position,
+    PositionAdjoint, Velocity, VelocityAdjoint,
 };
 use crate::systems::tape::Tape;
 use crate::systems::verlet::Clock;
@@ -56,9 +56,12 @@ impl<const D: usize> Flow<D> {
         let mut rows =
             world.query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
         for (id, mut r, mut v, mut a) in rows.iter_mut(world) {
-            r.0 = snapshot.state.positions[id.0 as usize];
-            v.0 = snapshot.state.velocities[id.0 as usize];
-            a.0 = snapshot.accelerations[id.0 as usize];
+            let row = id.0 as usize;
+            if row < snapshot.accelerations.len() {
+                r.0 = snapshot.state.positions[row];
+                v.0 = snapshot.state.velocities[row];
+                a.0 = snapshot.accelerations[row];
+            }
         }
         let columns = self.terms.iter().flat_map(|term| term.columns());
         for (column, kept) in columns.zip(&snapshot.columns) {
@@ -128,11 +131,13 @@ impl<const D: usize> Flow<D> {
     /// `(∂L/∂r, ∂L/∂v)` where the way back now stands, particle `k` in row `k`.
     pub fn state_adjoint(&mut self) -> (Vec<Vector<f64, D>>, Vec<Vector<f64, D>>) {
         let mut rows = self.world.query::<(&Identity, &PositionAdjoint<D>, &VelocityAdjoint<D>)>();
-        let count = rows.iter(&self.world).count();
+        let count = self.world.resource::<Particles>().0;
         let mut both = (vec![Vector::zero(); count], vec![Vector::zero(); count]);
         for (id, r, v) in rows.iter(&self.world) {
-            both.0[id.0 as usize] = r.0;
-            both.1[id.0 as usize] = v.0;
+            let row = id.0 as usize;
+            if row < count {
+                (both.0[row], both.1[row]) = (r.0, v.0);
+            }
         }
         both
     }

@@ -4,7 +4,9 @@ use super::{Flow, State};
 use crate::scalar::{Lanes, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
-use crate::systems::particles::{Acceleration, Cloud, Density, Identity, Position, Velocity};
+use crate::systems::particles::{
+    Acceleration, Cloud, Density, Identity, Particles, Position, Velocity,
+};
 use crate::systems::verlet::{Clock, Integrator};
 use crate::vector::Vector;
 use std::borrow::Cow;
@@ -74,9 +76,14 @@ impl<const D: usize> Flow<D> {
 
     /// Accelerations of the last force evaluation, particle `k` in row `k`.
     pub fn accelerations(&mut self) -> Vec<Vector<f64, D>> {
+        let count = self.world.resource::<Particles>().0;
         let mut rows = self.world.query::<(&Identity, &Acceleration<D>)>();
-        let mut all = vec![Vector::zero(); rows.iter(&self.world).count()];
-        rows.iter(&self.world).for_each(|(id, a)| all[id.0 as usize] = a.0);
+        let mut all = vec![Vector::zero(); count];
+        for (id, a) in rows.iter(&self.world) {
+            if let Some(row) = all.get_mut(id.0 as usize) {
+                *row = a.0;
+            }
+        }
         all
     }
 

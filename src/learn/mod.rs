@@ -178,6 +178,8 @@ impl<const D: usize> Learner<D> {
     /// gradient that is not finite.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.start_over(learned, window);
+        // A kernel that is to stay positive takes no parameters with a negative lobe.
+        self.flow.model().medium().kernel.check("the kernel of this trial", D)?;
         if self.gradient == Gradient::Adjoint {
             return self.evaluate_backwards(learned, window);
         }

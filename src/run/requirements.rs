@@ -3,7 +3,9 @@
 use super::Lesson;
 use crate::error::Result;
 use crate::flow::{Flow, Held, Snapshot};
+use crate::kernel::{Lobe, Transform};
 use crate::learn::Learner;
+use crate::models::Medium;
 use crate::recording::{Frame, Recorder};
 use crate::scene::Scene;
 use crate::sensitivity::{Gradient, Storage};
@@ -18,6 +20,8 @@ pub struct Requirements {
     pub about: &'static str,
     /// Its terms in order, with the names of their parameters; the weights of a network are one entry.
     pub terms: Vec<(String, Vec<String>)>,
+    /// Its kernel, in words.
+    pub kernel: String,
     /// What runs, in words, and its systems in order.
     pub programs: Vec<(&'static str, Vec<String>)>,
     /// Columns that are held throughout.
@@ -85,7 +89,8 @@ impl Requirements {
         // The tape of a search is told by its steps; what is left of one here is the same memory.
         let held = flow.held().into_iter().filter(|column| column.part != "tape").collect();
         let terms = flow.terms().map(|term| (term.name(), parameters_of(term))).collect();
-        Self { about, terms, programs, held, each_step: flow.tape_of_a_step() }
+        let kernel = describe_kernel(flow.model().medium());
+        Self { about, terms, kernel, programs, held, each_step: flow.tape_of_a_step() }
     }
 
     /// What an adjoint keeps of the way forward, by its storage.
@@ -143,6 +148,7 @@ impl Requirements {
         for (name, parameters) in &self.terms {
             lines.push(format!("  {name:30} {}", parameters.join(", ")).trim_end().to_owned());
         }
+        lines.push(format!("{}: {}", self.about, self.kernel));
         for (name, systems) in &self.programs {
             lines.push(format!("{}: {name} runs, in this order:", self.about));
             lines.extend(systems.iter().map(|system| format!("  {system}")));
@@ -157,6 +163,23 @@ impl Requirements {
         }
         lines
     }
+}
+
+/// A kernel with the deepest negative lobe of its Fourier transform, which lets particles pair up (Dehnen & Aly 2012).
+pub(super) fn describe_kernel<const D: usize>(medium: &Medium<D>) -> String {
+    let at: Vec<String> = medium
+        .kernel_specs()
+        .iter()
+        .map(|spec| format!("{} {:.4}", spec.name, spec.value))
+        .collect();
+    let at = if at.is_empty() { String::new() } else { format!(" ({})", at.join(", ")) };
+    let lobe = match Transform::of(medium.smoothing.kernel(), D).most_negative() {
+        None => "its Fourier transform has no negative lobe".to_owned(),
+        Some(Lobe { depth, kh }) => {
+            format!("deepest negative lobe of its Fourier transform {depth:.1e} at kh {kh:.2}")
+        }
+    };
+    format!("kernel {}{at}: {lobe}", medium.kernel.name())
 }
 
 /// Names of a term's parameters.

@@ -97,8 +97,9 @@ pub(crate) fn conservation_of<const D: usize>(
     rows: &Rows<'_, D>,
     by_system: bool,
 ) -> Conservation {
-    let FluidConstants { c, gamma, .. } = flow.model().medium().fluid;
-    let (sums, mass) = (Sums::of(rows, (c, gamma)), flow.mass());
+    let fluid = flow.model().medium().fluid;
+    let c = fluid.c;
+    let (sums, mass) = (Sums::of(rows, &fluid), flow.mass());
     let (kinetic, fastest) = (0.5 * mass * sums.squares, sums.largest_square.sqrt());
     let rates = by_system.then(|| flow.momentum_rates());
     let rate = |rate: fn(&MomentumRates<D>) -> Vector<f64, D>| {
@@ -146,13 +147,17 @@ impl<const D: usize> Sums<D> {
         deviation: 0.0,
     };
 
-    fn of(rows: &Rows<'_, D>, (c, gamma): (f64, f64)) -> Self {
+    fn of(rows: &Rows<'_, D>, &FluidConstants { c, gamma, p0, .. }: &FluidConstants) -> Self {
         let velocities = rows.velocities.par_chunks(CHUNK);
         let parts = velocities.zip(rows.densities.par_chunks(CHUNK)).map(|(v, rho)| {
             let mut sums = Self::NOTHING;
             v.iter().for_each(|v| sums.see_velocity(v.0));
             rho.iter().for_each(|rho| sums.deviation = sums.deviation.max((rho.0 - 1.0).abs()));
             sums.internal_energy = internal_energies(rho.iter().map(|rho| rho.0), c, gamma);
+            if p0 != 0.0 {
+                // ∫ p₀/ρ² dρ from ρ₀ = 1.
+                sums.internal_energy += p0 * rho.iter().map(|rho| 1.0 - 1.0 / rho.0).sum::<f64>();
+            }
             sums
         });
         let parts: Vec<Self> = parts.collect();

@@ -190,8 +190,8 @@ pub(crate) struct TaylorTest {
     /// How far the best of several central differences is from the slope that the gradient gives, as a share of it or of
     /// a thousandth of both lengths where that is more.
     pub(crate) difference: f64,
-    /// By which power of the step the remainder `L(x + s d) − L(x) − s g·d` falls: two for an exact gradient, one for
-    /// any other.
+    /// By which power of the step the remainder `L(x + s d) − L(x) − s g·d` falls: two or more for an exact gradient, one
+    /// for any other.
     pub(crate) slope: f64,
 }
 
@@ -214,13 +214,19 @@ pub(crate) fn taylor_slope(
             difference = difference.min((slope - exact).abs() / size);
         }
     }
-    // Steps so long that the remainder stands above round-off of the loss, so short that it is a parabola.
-    let remainder = |step: f64| (step, (loss(step) - found.loss - step * exact).abs());
-    let steps = [3e-2, 1e-2, 3e-3, 1e-3, 3e-4];
-    let remainders: Vec<(f64, f64)> = steps.map(remainder).to_vec();
-    let floor = 1e4 * f64::EPSILON * found.loss;
-    let above: Vec<_> = remainders.into_iter().filter(|(_, y)| *y > floor).collect();
-    TaylorTest { difference, slope: slope(&above) }
+    // The remainder of an exact gradient is a parabola where the step is short; the four shortest steps at which it
+    // stands above round-off of the loss show it.
+    let floor = 1e4 * f64::EPSILON * found.loss.abs();
+    let mut above: Vec<(f64, f64)> = Vec::new();
+    for halvings in 3..20 {
+        let step = 0.5_f64.powi(halvings);
+        let remainder = (loss(step) - found.loss - step * exact).abs();
+        if remainder <= floor && above.len() >= 4 {
+            break;
+        }
+        above.push((step, remainder));
+    }
+    TaylorTest { difference, slope: slope(&above[above.len() - 4..]) }
 }
 
 /// The slope of `ln y` over `ln x` by least squares: the order that errors `y` at steps `x` show.
