@@ -35,7 +35,7 @@ pub trait Term<const D: usize>: Debug + Send + Sync + 'static {
         Vec::new()
     }
 
-    /// Puts its resources into the World, once; `places` are those of its parameters in the flat vector of all.
+    /// Puts its resources into the World, once, before the particles are there; `places` are those of its parameters in the flat vector of all.
     fn insert(&self, places: &[usize], world: &mut World) {
         let _ = (places, world);
     }

@@ -109,6 +109,7 @@ pub(super) fn place_laws<const D: usize>(
 /// Particles, with the columns of an adjoint where one is run: all at once, since whoever moves to another
 /// table leaves its memory behind.
 pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>, adjoint: bool) {
+    world.insert_resource(Particles(state.positions.len()));
     let rows = state.positions.iter().zip(&state.velocities).enumerate();
     let particle = |(id, (&r, &v)): (usize, _)| {
         let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
@@ -124,7 +125,6 @@ pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D
     } else {
         world.spawn_batch(rows.map(particle).collect::<Vec<_>>());
     }
-    world.insert_resource(Particles(state.positions.len()));
     world.resource_mut::<Clock>().start = state.time;
 }
 

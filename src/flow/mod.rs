@@ -243,11 +243,10 @@ impl<const D: usize> Flow<D> {
         let mut world = World::new();
         insert_motion::<D>(&mut world, &scene);
         world.insert_resource(laws);
+        terms.iter().zip(&places).for_each(|(term, places)| term.insert(places, &mut world));
         spawn_particles(&mut world, &state, adjoint);
-        for (term, places) in terms.iter().zip(&places) {
-            term.insert(places, &mut world);
-            term.columns().iter().for_each(|column| column.spawn(&mut world));
-        }
+        let columns = terms.iter().flat_map(|term| term.columns());
+        columns.for_each(|column| column.spawn(&mut world));
         if adjoint {
             insert_adjoint::<D>(&mut world, parameters.len());
         }
