@@ -129,7 +129,7 @@ pub(crate) fn true_value(scene: &Scene, parameter: &Parameter) -> f64 {
 pub(crate) fn scale_parameters<const D: usize>(flow: &mut Flow<D>, factors: [f64; 5]) {
     for (parameter, factor) in Parameter::PHYSICAL.iter().zip(factors) {
         if let Some(value) = flow.parameters().get(parameter) {
-            flow.set_learned(&[parameter.clone()], &[value * factor]).unwrap();
+            flow.set_learned(std::slice::from_ref(parameter), &[value * factor]).unwrap();
         }
     }
 }

@@ -208,7 +208,7 @@ fn run_of(flow: Flow<3>, setting: &Setting) -> Run<'_> {
 fn off_the_truth(mut flow: Flow<3>) -> Flow<3> {
     for (parameter, factor) in Parameter::PHYSICAL.iter().zip([0.8, 0.7, 1.3, 0.75, 0.9]) {
         if let Some(value) = flow.parameters().get(parameter) {
-            flow.set_learned(&[parameter.clone()], &[value * factor]).expect("it has it");
+            flow.set_learned(std::slice::from_ref(parameter), &[value * factor]).unwrap();
         }
     }
     flow
