@@ -7,7 +7,7 @@ use super::{
 };
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Hood, adjoints};
-use crate::scalar::{Lanes, Pass, Precision, Scalar, Singles, WIDTH, Wide, dispatch_in};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
 use crate::vector::Vector;
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
@@ -23,13 +23,8 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         PairLaw::parts(self)
     }
 
-    /// In plain code, which gives the bits of any instruction set.
     fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        let pass = PartPass { law: self, part, hood, room, out };
-        match hood.lines.precision {
-            Precision::Double => pass.run::<Lanes>(),
-            Precision::Mixed => pass.run::<Singles>(),
-        }
+        dispatch_in(hood.lines.precision, PartPass { law: self, part, hood, room, out });
     }
 
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes) {
@@ -101,7 +96,10 @@ struct PartPass<'a, L, const D: usize> {
     out: &'a mut [Vector<f64, D>],
 }
 
-impl<L: PairLaw<D>, const D: usize> PartPass<'_, L, D> {
+impl<L: PairLaw<D>, const D: usize> Pass for PartPass<'_, L, D> {
+    type Output = ();
+
+    #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { law, part, hood: Hood { lines, near, space }, room, out } = self;
         for (k, acceleration) in out.iter_mut().enumerate() {
