@@ -88,6 +88,14 @@ impl Error {
         }
     }
 
+    /// The step at which a flow diverged; none of any other error.
+    pub fn diverged_at(&self) -> Option<u64> {
+        match self {
+            Self::Diverged { step, .. } => Some(*step),
+            Self::Input { .. } | Self::File { .. } => None,
+        }
+    }
+
     /// What a command returns to the shell: 2 for bad input (a missing input file included), 1 for a
     /// run that failed.
     pub fn exit_code(&self) -> u8 {

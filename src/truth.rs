@@ -1,7 +1,7 @@
 //! Where the truth comes from: a flow run on the spot.
 
 use crate::cells::Cells;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
 use crate::kernel::Smoothing;
 use crate::losses::{IncrementDensities, Mesh, Points, field, sampling_floor};
@@ -19,6 +19,8 @@ pub struct Truth<const D: usize> {
     pub states: Vec<State<D>>,
     /// Densities of each state, particle `k` in row `k`.
     pub densities: Vec<Vec<f64>>,
+    /// Whether they come from a recording, whose times are what they are, and not from a flow run on the spot.
+    pub is_recorded: bool,
 }
 
 impl<const D: usize> Truth<D> {
@@ -76,13 +78,35 @@ impl<const D: usize> Truth<D> {
         pairs.map(|(&v, &start)| v - start).collect()
     }
 
+    /// Refuses numbers that are none, with the frame and the particle, counted from the first state.
+    fn must_be_finite(&self) -> Result<()> {
+        for (frame, (state, densities)) in self.states.iter().zip(&self.densities).enumerate() {
+            let quantities = [
+                ("position", state.positions.iter().position(|r| !r.is_finite())),
+                ("velocity", state.velocities.iter().position(|v| !v.is_finite())),
+                ("density", densities.iter().position(|rho| !rho.is_finite())),
+            ];
+            let lost = quantities.iter().find_map(|(name, row)| row.map(|row| (name, row)));
+            if let Some((name, row)) = lost {
+                return Err(Error::input(
+                    "the truth",
+                    "finite positions, velocities and densities",
+                    format!("a {name} of particle {row} in frame {frame} that is none"),
+                    "correct the data, or learn from other frames (learn.after, learn.frames)",
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// What a prediction from the first state is compared with: the states behind it, their
     /// fields where the scene asks for a field loss, and the densities of their increments where it
     /// asks for a statistical one.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] where a velocity is not finite.
+    /// [`crate::Error::Input`] where a number is not finite: with its frame and particle.
     pub fn observations(&self, scene: &Scene, learn: &Learn) -> Result<Observations<D>> {
+        self.must_be_finite()?;
         let per_axis = learn
             .mesh
             .unwrap_or_else(|| (scene.particles() as f64).powf(1.0 / D as f64).round() as usize);

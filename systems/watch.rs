@@ -1,7 +1,8 @@
 //! The watch: a run whose numbers have lost their meaning stops, and says which, whose, when and why.
 
 use super::acceleration::Laws;
-use super::particles::{Acceleration, Density, Identity, Position, Velocity};
+use super::neighbours::Neighbours;
+use super::particles::{Acceleration, Cloud, Density, Identity, Position, Velocity};
 use super::term::{Stage, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
@@ -26,6 +27,27 @@ impl Default for Limits {
     fn default() -> Self {
         Self { courant: 1.0, energy: 1e6 }
     }
+}
+
+/// With fewer neighbours than this on average, particles are a gas without pressure: the smoothing length is too short.
+pub const LONELY: f64 = 1.0;
+
+/// Smoothing lengths of the shipped scenes, in particle spacings, in two and in three dimensions.
+const USUAL: [f64; 2] = [1.0186, 0.853];
+
+/// What to say of particles with too few neighbours: their number, the smoothing length and one that reaches.
+pub fn loneliness<const D: usize>(neighbours: &Neighbours<D>, cloud: &Cloud<D>) -> Option<String> {
+    let count = cloud.len();
+    let mean = neighbours.pairs(cloud) as f64 / count.max(1) as f64;
+    (count > 1 && mean < LONELY).then(|| {
+        let spacing = neighbours.space.length / (count as f64).powf(1.0 / D as f64);
+        format!(
+            "particles have {mean:.1} neighbours each, because the kernel reaches {:.4} and they are {spacing:.4} \
+             apart: set fluid.smoothing_length = {:.4}",
+            neighbours.support,
+            USUAL[usize::from(D == 3)] * spacing
+        )
+    })
 }
 
 /// Why the run must stop, if it must.
@@ -55,6 +77,7 @@ type Watched<'a, const D: usize> =
 pub fn watch<const D: usize>(
     particles: Query<Watched<'_, D>>,
     (limits, integrator, clock, laws): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Laws<D>>),
+    (neighbours, cloud): (Option<Res<Neighbours<D>>>, Option<Res<Cloud<D>>>),
     mut failure: ResMut<Failure>,
 ) {
     if failure.0.is_some() {
@@ -85,7 +108,11 @@ pub fn watch<const D: usize>(
         }
         closer.see(v.0.norm(), laws.model().sound_speed(rho.0), row);
     }
-    failure.0 = closer.verdict(*limits, per_speed).map(|(quantity, found, remedy)| {
+    let is_start = clock.step == 0;
+    failure.0 = closer.verdict(*limits, (per_speed, is_start)).map(|(quantity, found, remedy)| {
+        let lonely = neighbours.as_ref().zip(cloud.as_ref());
+        let lonely = lonely.and_then(|(neighbours, cloud)| loneliness(neighbours, cloud));
+        let remedy = lonely.filter(|_| closer.not_finite.is_none()).unwrap_or(remedy);
         let time = clock.time_at(clock.step, integrator.dt);
         Error::Diverged { step: clock.step, time, quantity, found, remedy }
     });
@@ -152,8 +179,8 @@ struct CloserLook {
     not_finite: Option<(usize, usize)>,
     count: usize,
     energy: f64,
-    /// Largest signal speed, and whose.
-    speed: (f64, usize),
+    /// Largest signal speed, whose, and the share of its sound.
+    speed: (f64, usize, f64),
 }
 
 /// Quantities in the order in which trouble spreads: a lost number reaches its own particle's position
@@ -172,24 +199,44 @@ impl CloserLook {
         self.count += 1;
         self.energy += 0.5 * speed * speed;
         if sound + speed > self.speed.0 {
-            self.speed = (sound + speed, row);
+            self.speed = (sound + speed, row, sound);
         }
     }
 
-    /// `(quantity, found, remedy)` of the first limit broken; a Courant number is a speed `per_speed`.
-    fn verdict(&self, limits: Limits, per_speed: f64) -> Option<(String, String, String)> {
-        if let Some((rank, row)) = self.not_finite {
-            return Some((
-                format!("the {} of particle {row}", BROKEN[rank]),
-                "is not a finite number".to_owned(),
-                "take a smaller time step (time.courant or time.dt)".to_owned(),
-            ));
+    /// `(quantity, found, remedy)` of a number that is none.
+    fn broken(&self, is_start: bool) -> Option<(String, String, String)> {
+        let (rank, row) = self.not_finite?;
+        let remedy = match (is_start, rank) {
+            (false, _) => "take a smaller time step (time.courant or time.dt)",
+            (true, 0 | 1) => "the run begins with it: correct the initial state or the data",
+            (true, _) => {
+                "the state that the run begins with makes it: check its units and parameters"
+            }
+        };
+        let quantity = format!("the {} of particle {row}", BROKEN[rank]);
+        Some((quantity, "is not a finite number".to_owned(), remedy.to_owned()))
+    }
+
+    /// `(quantity, found, remedy)` of the first limit broken; a Courant number is a speed `per_speed`. At the start of
+    /// a run no step was taken that could be too long.
+    fn verdict(
+        &self,
+        limits: Limits,
+        (per_speed, is_start): (f64, bool),
+    ) -> Option<(String, String, String)> {
+        if let Some(broken) = self.broken(is_start) {
+            return Some(broken);
         }
-        let courant = self.speed.0 * per_speed;
+        let (speed, row, sound) = self.speed;
+        let courant = speed * per_speed;
         if courant > limits.courant {
             return Some((
-                format!("the Courant number of particle {}", self.speed.1),
-                format!("is {courant:.3}, expected at most {}", limits.courant),
+                format!("the Courant number of particle {row}"),
+                format!(
+                    "is {courant:.3} (sound {sound:.3e}, particle {:.3e}), expected at most {}",
+                    speed - sound,
+                    limits.courant
+                ),
                 format!("take a time step {:.1} times smaller (time.dt)", courant / 0.4),
             ));
         }
@@ -197,8 +244,9 @@ impl CloserLook {
         (energy > limits.energy).then(|| {
             (
                 "the kinetic energy per unit mass".to_owned(),
-                format!("is {energy:.3e}, expected at most {:e}", limits.energy),
-                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta)"
+                format!("is {energy:.3e}, expected at most {:e} (limits.energy)", limits.energy),
+                "raise limits.energy where such speeds are meant, which is in the scene's own units; otherwise take a \
+                 smaller time step (time.courant) or a weaker forcing (forcing.theta)"
                     .to_owned(),
             )
         })

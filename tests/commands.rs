@@ -31,6 +31,18 @@ fn train_ends_with_the_json_object_of_its_contract() {
         "seconds",
         "recording",
         "losses",
+        "stopped_by",
+        "window",
+        "identified",
+        "doubts",
+        "standard_error",
+        "correlated",
+        "degrees_of_freedom",
+        "residual_per_freedom",
+        "relative_residual",
+        "relative_gradient",
+        "converged",
+        "remarks",
     ];
     expected.sort_unstable();
     assert_eq!(keys, expected);
@@ -43,6 +55,8 @@ fn train_ends_with_the_json_object_of_its_contract() {
     for (name, truth) in [("c", 10.0), ("alpha", 1.0), ("beta", 2.0), ("gamma", 7.0)] {
         let learned = report["parameters"][name].as_f64().unwrap();
         assert_eq!(report["truth"][name], Value::from(truth));
+        assert_eq!(report["identified"][name], Value::from(true));
+        assert!(report["standard_error"][name].as_f64().unwrap() < 1e-6);
         assert!((learned - truth).abs() < 1e-6, "{name}: {learned}");
     }
     assert!(
@@ -499,6 +513,16 @@ fn simulate_records_every_step_and_what_is_conserved() {
     let none = ["small.toml", "--json", "--set", "record.every=0", "--record", "none.mcap"];
     assert_eq!(place.json("simulate", &none)["recording"], Value::Null);
     assert!(!place.path("none.mcap").exists());
+}
+
+#[test]
+fn simulate_warns_of_particles_without_neighbours() {
+    let place = Place::new();
+    let lonely = ["small.toml", "--set", "fluid.smoothing_length=0.335", "--steps", "1"];
+    let done = place.run("simulate", &lonely);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(done.err.contains("warning: particles have 0.0 neighbours each"), "{}", done.err);
+    assert!(done.err.contains("set fluid.smoothing_length = 0.67"), "{}", done.err);
 }
 
 /// The recording of a failed run can be read up to the failure, and says what happened.

@@ -1,6 +1,7 @@
 //! What an evaluation says of models whose answers are known.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
 #[path = "common/place.rs"]
 mod place;
@@ -12,7 +13,9 @@ use whirls::evaluation::{Candidate, Evaluation, Marks, Plan, Source, evaluate};
 use whirls::parameters::Parameter;
 use whirls::recording::{Flow, TrainStep};
 use whirls::report::{Cell, Report};
-use whirls::run::{Lesson, Reproduction, Stage, Study, Training, truth_from_recording};
+use whirls::run::{
+    Lesson, Reproduction, Stage, Study, Training, truth_from_recording, write_evaluation,
+};
 use whirls::truth::Truth;
 use whirls::{Scene, learn::Learner};
 
@@ -121,6 +124,29 @@ fn a_model_that_diverges_is_a_result_beside_the_others() {
     assert!(report.html().unwrap().contains("nn-sum"));
     let read: Report = serde_json::from_str(&report.json().unwrap()).unwrap();
     assert_eq!(read.tables[0].rows[0].cells.last(), Some(&Cell::Nothing));
+}
+
+#[test]
+fn a_model_that_diverges_at_its_first_state_is_a_row_with_step_zero() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = small("physics-3d", &[]);
+    // A sound a hundred times too fast for the step, and one that only the faster flows break.
+    let with = |c: f64| {
+        candidate(scene.clone(), move |p| {
+            p.iter().map(|p| if *p == Parameter::C { c } else { 1.0 }).collect()
+        })
+    };
+    let mut candidates = vec![with(1000.0), with(24.0)];
+    candidates.push(candidate(scene.clone(), true_values(&scene)));
+    Candidate::name_apart(&mut candidates, &["fast.mcap", "stiff.mcap", "exact.mcap"]);
+    let found = evaluated(&scene, candidates);
+    assert_eq!(found.summary(0).diverged, Some(0));
+    assert!(found.summary(2).diverged.is_none());
+    let files = write_evaluation(&found, Vec::new(), (folder.path(), true)).unwrap();
+    let table = files.report.tables.iter().find(|table| table.name == "horizons").unwrap();
+    assert_eq!(table.rows[0].cells.last(), Some(&Cell::Count(0)));
+    assert_eq!(table.rows[2].cells.last(), Some(&Cell::Text("no".to_owned())));
+    println!("{}", table.plain_text());
 }
 
 #[test]

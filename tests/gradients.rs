@@ -244,6 +244,7 @@ fn with_fixed<const D: usize>(
         kl: loss.value_of("kl"),
         gradient: loss.gradient(count),
         normal: loss.normal(count),
+        squares: Vec::new(),
     }
 }
 

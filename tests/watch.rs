@@ -20,6 +20,7 @@ in_2d_and_3d!(
     a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named,
     a_position_that_is_no_number_is_found_and_named,
     a_courant_number_beyond_the_limit_is_refused,
+    particles_without_neighbours_are_the_cause_that_is_named,
     a_kinetic_energy_beyond_the_limit_is_refused,
     a_flow_that_failed_goes_on_failing,
     a_reset_flow_is_trusted_again,
@@ -113,6 +114,7 @@ fn a_position_that_is_no_number_is_found_and_named<const D: usize>() {
     let text = flow.start().unwrap_err().to_string();
     assert!(text.contains("of particle 23 is not a finite number"), "{text}");
     assert!(text.contains("at step 0"), "{text}");
+    assert!(text.contains("correct the initial state or the data"), "{text}");
 }
 
 fn a_courant_number_beyond_the_limit_is_refused<const D: usize>() {
@@ -137,11 +139,24 @@ fn a_courant_number_beyond_the_limit_is_refused<const D: usize>() {
     assert!(text.contains("the Courant number of particle 31"), "{text}");
 }
 
+fn particles_without_neighbours_are_the_cause_that_is_named<const D: usize>() {
+    let mut scene = scene::<D>();
+    scene.time.dt = Some(40.0 * scene.dt());
+    scene.fluid.smoothing_length *= 0.4;
+    let text = failure(&mut Flow::<D>::new(&scene).unwrap(), 1).to_string();
+    for part in ["Courant number", "0.0 neighbours each", "set fluid.smoothing_length ="] {
+        assert!(text.contains(part), "no `{part}` in: {text}");
+    }
+    assert!(!text.contains("time step"), "{text}");
+}
+
 fn a_kinetic_energy_beyond_the_limit_is_refused<const D: usize>() {
     let mut scene = scene::<D>();
     scene.limits.energy = 0.1;
     let text = failure(&mut Flow::<D>::new(&scene).unwrap(), 1).to_string();
-    for part in ["kinetic energy per unit mass", "expected at most 1e-1", "time.courant"] {
+    for part in
+        ["kinetic energy per unit mass", "expected at most 1e-1 (limits.energy)", "time.courant"]
+    {
         assert!(text.contains(part), "no `{part}` in: {text}");
     }
 }

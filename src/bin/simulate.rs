@@ -8,7 +8,7 @@ mod scene;
 
 use clap::Parser;
 use common::{conclude, say, say_json};
-use flow::{in_dimension, progress};
+use flow::{in_dimension, progress, warn};
 use scene::{SceneArguments, describe_choice, explain};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -104,6 +104,9 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         .transpose()?;
     // A flow that fails at once is reported, and recorded, by the run itself.
     let before = flow.start().ok().map(|()| conservation(&mut flow)).unwrap_or_default();
+    if let Some(text) = flow.loneliness() {
+        warn(&text);
+    }
     let bar = progress(steps, "simulate");
     let clock = Instant::now();
     let target = (recorder.as_mut(), recording::Flow::Truth);

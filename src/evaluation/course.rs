@@ -36,7 +36,7 @@ pub struct Course<const D: usize> {
     pub states: Vec<State<D>>,
     /// Densities there.
     pub densities: Vec<Vec<f64>>,
-    /// Accelerations at the last mark.
+    /// Accelerations at the last mark; empty where they cannot be found.
     pub accelerations: Vec<Vector<f64, D>>,
     /// The step at which the flow could no longer be trusted.
     pub diverged: Option<u64>,
@@ -89,7 +89,7 @@ impl<const D: usize> Course<D> {
         let states: Vec<State<D>> = marked().map(|k| truth.states[k].clone()).collect();
         let densities = marked().map(|k| truth.densities[k].clone()).collect();
         let accelerations = match states.last() {
-            Some(last) => accelerations(Flow::from_state(scene, last)?)?,
+            Some(last) => accelerations(Flow::from_state(scene, last)?),
             None => Vec::new(),
         };
         Ok(Self { states, densities, accelerations, ..Self::default() })
@@ -124,7 +124,7 @@ impl<const D: usize> Course<D> {
             }
         }
         if let (None, Some(last)) = (course.diverged, course.states.last()) {
-            course.accelerations = accelerations(candidate.flow(scene, last, None)?)?;
+            course.accelerations = accelerations(candidate.flow(scene, last, None)?);
         }
         Ok(course)
     }
@@ -150,8 +150,8 @@ impl Errors {
     }
 }
 
-/// Accelerations at the very state a flow starts from.
-fn accelerations<const D: usize>(mut flow: Flow<D>) -> Result<Vec<Vector<f64, D>>> {
-    flow.start()?;
-    Ok(flow.accelerations())
+/// Accelerations at the very state a flow starts from; none where it cannot start there, as recorded particles in
+/// another fluid may not.
+fn accelerations<const D: usize>(mut flow: Flow<D>) -> Vec<Vector<f64, D>> {
+    if flow.start().is_ok() { flow.accelerations() } else { Vec::new() }
 }

@@ -175,7 +175,7 @@ pub struct Evaluation<const D: usize> {
 /// # Errors
 /// [`Error::Input`] where a candidate does not fit the truth, there are fewer than two realisations or
 /// fewer steps than the training had,
-/// [`Error::Diverged`] from a truth of the scene as it is. Other circumstances in which the truth diverges
+/// [`Error::Diverged`] where fewer than two truths of the scene as it is hold. Other circumstances in which the truth diverges
 /// are left out, and a candidate that diverges is a result.
 pub fn evaluate<const D: usize>(
     (scene, source): (&Scene, Source<D>),
@@ -244,18 +244,10 @@ impl<const D: usize> Evaluation<D> {
         }
     }
 
-    fn realisations(&self, source: Source<D>) -> Result<Vec<Truth<D>>> {
+    fn realisations(&mut self, source: Source<D>) -> Result<Vec<Truth<D>>> {
         let truths = match source {
             Source::Recorded(truths) => truths,
-            Source::Scene => {
-                let after = self.after()?;
-                let one = |more: u64| {
-                    let seed = self.scene.seed.wrapping_add(more);
-                    let scene = Scene { seed, ..self.scene.clone() };
-                    Truth::generate(&scene, (after, self.plan.marks.steps as usize))
-                };
-                (0..self.plan.realisations).map(one).collect::<Result<_>>()?
-            }
+            Source::Scene => self.own_truths()?,
         };
         if truths.len() < 2 {
             return Err(Error::input(
@@ -266,6 +258,28 @@ impl<const D: usize> Evaluation<D> {
             ));
         }
         Ok(truths)
+    }
+
+    /// The scene's own flow, seed by seed. One that diverges is left out, as long as two are there.
+    fn own_truths(&mut self) -> Result<Vec<Truth<D>>> {
+        let (after, steps) = (self.after()?, self.plan.marks.steps as usize);
+        let (mut truths, mut failed) = (Vec::new(), None);
+        for more in 0..self.plan.realisations {
+            let seed = self.scene.seed.wrapping_add(more);
+            let scene = Scene { seed, ..self.scene.clone() };
+            match Truth::generate(&scene, (after, steps)) {
+                Ok(truth) => truths.push(truth),
+                Err(error @ Error::Diverged { .. }) => {
+                    self.left_out.push(format!("seed {seed}: {error}"));
+                    failed = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        match failed {
+            Some(error) if truths.len() < 2 => Err(error),
+            _ => Ok(truths),
+        }
     }
 
     fn follow(

@@ -8,6 +8,7 @@ use crate::systems::particles::{
     Acceleration, Cloud, Density, Identity, Particles, Position, Velocity,
 };
 use crate::systems::verlet::{Clock, Integrator};
+use crate::systems::watch::loneliness;
 use crate::vector::Vector;
 use std::borrow::Cow;
 
@@ -114,5 +115,11 @@ impl<const D: usize> Flow<D> {
         let cloud = self.world.resource::<Cloud<D>>();
         let pairs = self.world.resource::<Neighbours<D>>().pairs(cloud);
         pairs as f64 / cloud.len().max(1) as f64
+    }
+
+    /// What to say where particles have too few neighbours for any pressure.
+    pub fn loneliness(&self) -> Option<String> {
+        let neighbours = self.world.resource::<Neighbours<D>>();
+        loneliness(neighbours, self.world.resource::<Cloud<D>>())
     }
 }

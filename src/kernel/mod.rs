@@ -33,6 +33,7 @@ pub use shape::{LearnableShape, ShapeKind, ShapeParameter, normalisation};
 pub use table::KernelTable;
 
 use crate::scalar::Scalar;
+use std::f64::consts::PI;
 
 /// The kernels with a learnable shape: each line is a file and a type.
 macro_rules! learnable_shapes {
@@ -124,6 +125,18 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
     /// Radius beyond which the kernel vanishes, `2h`.
     pub fn support(&self) -> f64 {
         2.0 * self.h
+    }
+
+    /// `∫ W² dr`, of dimension `1/length^D`: a smoothed field has this many independent values in a unit of volume.
+    pub fn square_integral(&self) -> f64 {
+        const STEPS: u32 = 256;
+        let width = self.support() / f64::from(STEPS);
+        let shell = |k: u32| {
+            let r = (f64::from(k) + 0.5) * width;
+            let surface = if D == 2 { 2.0 * PI * r } else { 4.0 * PI * r * r };
+            surface * self.value(r).powi(2) * width
+        };
+        (0..STEPS).map(shell).sum()
     }
 
     /// `W(r)`, of dimension `1/length^D`.

@@ -1,9 +1,18 @@
 //! Algorithm 1: predict, differentiate, compare, update.
 
+mod diagnosis;
+mod first_order;
+mod knowledge;
+mod least_squares;
 mod search;
+mod start;
+mod words;
+
+pub use knowledge::{Knowledge, Stop};
 
 use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State, Stream, stream};
+use crate::losses::SquareSum;
 use crate::models::Medium;
 use crate::optimisers::Coordinates;
 use crate::parameters::{Domain, Parameter, ParameterSpec};
@@ -30,6 +39,24 @@ pub struct Evaluation {
     pub gradient: Vec<f64>,
     /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
     pub normal: Vec<f64>,
+    /// The sums of squares that the loss consists of; empty where the gradient came from the adjoint, or the loss is
+    /// no sum of squares.
+    pub squares: Vec<Squares>,
+}
+
+/// The residuals of one measured quantity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Squares {
+    /// What was measured: positions, velocities, field.
+    pub of: &'static str,
+    /// Their share of the loss, `Σ w R²`.
+    pub value: f64,
+    /// Number of independent ones.
+    pub count: f64,
+    /// `Σ w X̂²` of what was observed.
+    pub size: f64,
+    /// Their share of the Gauss–Newton matrix, row by row.
+    pub normal: Vec<f64>,
 }
 
 /// One iteration of the search, as it is recorded.
@@ -51,13 +78,16 @@ pub struct Iteration<'a> {
 /// How a search ended.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Loss and parameters over all frames; of a first-order search the best that its last stage met,
+    /// Loss and parameters over all frames, or over as many as any parameters held ([`Knowledge::window`]); of a
+    /// first-order search the best that its last stage met,
     /// which is also the last iteration: one more goes back to it where it was left behind.
     pub evaluation: Evaluation,
     /// Loss of the first guess over all frames.
     pub initial_loss: f64,
     /// Iterations of all stages.
     pub iterations: usize,
+    /// How well the parameters are known, and why the search stopped.
+    pub knowledge: Knowledge,
 }
 
 /// What a scene learns: its physical parameters, then all weights of its model's network.
@@ -85,6 +115,10 @@ pub struct Learner<const D: usize> {
     held: usize,
     /// Who searches before.
     warm_up: Option<Box<Self>>,
+    /// Side of the box, and the time from frame to frame.
+    units: (f64, f64),
+    /// Whether the frames are recorded particles.
+    is_recorded: bool,
 }
 
 impl<const D: usize> Learner<D> {
@@ -104,7 +138,21 @@ impl<const D: usize> Learner<D> {
             }
         };
         let places = flow.places(&columns)?;
-        Ok(Self { flow, from, learn, columns, places, frames, gradient, held: 0, warm_up: None })
+        let units = (scene.fluid.box_length, scene.observed_interval());
+        let (held, warm_up, is_recorded) = (0, None, false);
+        Ok(Self {
+            flow,
+            from,
+            learn,
+            columns,
+            places,
+            frames,
+            gradient,
+            held,
+            warm_up,
+            units,
+            is_recorded,
+        })
     }
 
     /// A learner for a scene from a truth, with the scene's warm-up.
@@ -114,6 +162,7 @@ impl<const D: usize> Learner<D> {
     pub fn of_truth(scene: &Scene, truth: &Truth<D>) -> Result<Self> {
         let observations = truth.observations(scene, scene.learning()?)?;
         let mut learner = Self::new(scene, truth.states[0].clone(), observations)?;
+        learner.is_recorded = truth.is_recorded;
         if let Some(before) = scene.warm_up() {
             learner.warm_up = Some(Box::new(Self::of_truth(&before, truth)?));
         }
@@ -149,11 +198,17 @@ impl<const D: usize> Learner<D> {
     /// The first guess: the scene's `learn.guess`; where it has none, `c, α, β, γ, θ` are drawn from uniform (0, 1),
     /// weights as [`crate::network::Network::initial`] draws them, and others start at the scene's own value.
     pub fn guess(&self, seed: u64) -> Vec<f64> {
+        self.draw(seed, true)
+    }
+
+    /// As [`Learner::guess`], without the scene's own guess where that is not asked for.
+    fn draw(&self, seed: u64, with_own: bool) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Guess);
         let draw = |p: &Parameter| {
             let drawn = generator.random::<f64>();
             let own = self.flow.parameters().get(p).filter(|_| !Parameter::PHYSICAL.contains(p));
-            self.learn.guess.get(p.name()).copied().or(own).unwrap_or(drawn)
+            let given = self.learn.guess.get(p.name()).copied().filter(|_| with_own);
+            given.or(own).unwrap_or(drawn)
         };
         let mut guess: Vec<f64> = self.learn.parameters.iter().map(draw).collect();
         guess.extend(self.flow.draw_weights(seed));
@@ -175,8 +230,12 @@ impl<const D: usize> Learner<D> {
     ///
     /// # Errors
     /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss or
-    /// gradient that is not finite.
+    /// gradient that is not finite: with the parameters, and what a search can do about it.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
+        self.evaluate_as_it_is(learned, window).map_err(|error| self.explain(error, learned))
+    }
+
+    fn evaluate_as_it_is(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.start_over(learned, window);
         // A kernel that is to stay positive takes no parameters with a negative lobe.
         self.flow.model().medium().kernel.check("the kernel of this trial", D)?;
@@ -186,7 +245,8 @@ impl<const D: usize> Learner<D> {
         (0..self.steps(window)).try_for_each(|_| self.flow.step())?;
         let loss = self.flow.loss();
         let count = learned.len();
-        self.evaluation(learned, &loss, (loss.gradient(count), loss.normal(count)))
+        let found = self.evaluation(learned, &loss, (loss.gradient(count), loss.normal(count)))?;
+        Ok(Evaluation { squares: squares(&loss, count), ..found })
     }
 
     /// Steps to the last of so many frames.
@@ -244,6 +304,7 @@ impl<const D: usize> Learner<D> {
             kl: loss.value_of("kl"),
             gradient,
             normal,
+            squares: Vec::new(),
         })
     }
 
@@ -261,4 +322,16 @@ impl<const D: usize> Learner<D> {
     pub fn gradient(&self) -> Gradient {
         self.gradient
     }
+}
+
+/// The sums of squares of a loss, where it has no other part.
+fn squares(loss: &LossSum, count: usize) -> Vec<Squares> {
+    let one = |(of, sum): &(&'static str, SquareSum)| Squares {
+        of,
+        value: sum.value,
+        count: sum.count,
+        size: sum.size,
+        normal: sum.normal(count),
+    };
+    loss.squares().unwrap_or_default().into_iter().map(one).collect()
 }

@@ -268,6 +268,9 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
 /// `truth` is `V̂` on the same mesh, `weight` the loss's weight over the number of frames. The
 /// gradient runs through position, velocity and density of every particle in reach, and through the parameters that
 /// the field depends on by itself.
+///
+/// It counts as many independent residuals as the smoothed field has independent values, `D Lᴰ ∫W²`, where the mesh
+/// has more nodes: errors of neighbouring nodes are those of the same particles.
 pub fn field_loss<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
@@ -280,6 +283,10 @@ pub fn field_loss<K: Kernel, const D: usize>(
         return sum;
     }
     let weight = weight / (mesh.len() * D) as f64;
+    // Neighbouring nodes smooth over the same particles: of a fine mesh not every node counts.
+    let independent = points.smoothing.square_integral() * points.space.length.powi(D as i32);
+    sum.count = D as f64 * independent.min(mesh.len() as f64);
+    sum.size = weight * truth.iter().map(|v| v.norm_squared()).sum::<f64>();
     let search = &Search::new(points);
     let part = |(chunk, truth): (usize, &[Vector<f64, D>])| {
         let first = chunk * CHUNK;

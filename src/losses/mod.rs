@@ -54,6 +54,10 @@ impl<const D: usize> StateAdjoint<D> {
 pub struct SquareSum {
     /// `Σ w R²`.
     pub value: f64,
+    /// Number of independent residuals in it, as the loss counts them.
+    pub count: f64,
+    /// `Σ w X̂²`: the same sum over the observed quantity itself, which makes the value relative.
+    pub size: f64,
     /// `½ ∂value/∂θ = Σ w R J`, in blocks of eight parameters.
     half_gradient: Vec<Lanes>,
     /// `Σ w J Jᵀ`: row `a`, then blocks, from the row's own on; the rest follows by symmetry.
@@ -65,6 +69,8 @@ impl SquareSum {
     pub fn new(blocks: usize) -> Self {
         Self {
             value: 0.0,
+            count: 0.0,
+            size: 0.0,
             half_gradient: vec![Lanes::ZERO; blocks],
             normal: vec![Lanes::ZERO; blocks * WIDTH * blocks],
         }
@@ -138,6 +144,8 @@ impl SquareSum {
     /// Adds another sum.
     pub fn merge(&mut self, other: &Self) {
         self.value += other.value;
+        self.count += other.count;
+        self.size += other.size;
         for (a, b) in self.half_gradient.iter_mut().zip(&other.half_gradient) {
             *a += *b;
         }

@@ -8,6 +8,9 @@ use crate::vector::Vector;
 /// One frame's share of `L_tr = (1/N) Σ_frames Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`, position differences as
 /// minimum images.
 ///
+/// Positions and velocities are summed apart, because they are measured with errors of their own. The size of a
+/// position is that of the box.
+///
 /// `truth` gives `(r̂, v̂)` of the particle in a slot of `packed`; `blocks` are the sensitivities in
 /// the same order, none in a run that learns nothing. Tested in `tests/gradients.rs`.
 pub fn trajectory_loss<const D: usize>(
@@ -15,19 +18,23 @@ pub fn trajectory_loss<const D: usize>(
     blocks: &[&[PackedSensitivity<D>]],
     truth: impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>),
     (space, weight): (PeriodicBox, f64),
-) -> SquareSum {
-    let mut sum = SquareSum::new(blocks.len());
+) -> [SquareSum; 2] {
+    let [mut positions, mut velocities] = [(); 2].map(|()| SquareSum::new(blocks.len()));
     let weight = weight / packed.len().max(1) as f64;
     for (slot, particle) in packed.iter().enumerate() {
         let (r, v) = truth(slot);
         let position = space.minimum_image(Vector::from_3d(particle.position) - r);
         let velocity = Vector::from_3d(particle.velocity) - v;
         for axis in 0..D {
-            sum.add(weight, position[axis], |b| blocks[b][slot].position[axis]);
-            sum.add(weight, velocity[axis], |b| blocks[b][slot].velocity[axis]);
+            positions.add(weight, position[axis], |b| blocks[b][slot].position[axis]);
+            velocities.add(weight, velocity[axis], |b| blocks[b][slot].velocity[axis]);
         }
+        velocities.size += weight * v.norm_squared();
     }
-    sum
+    let count = (D * packed.len()) as f64;
+    (positions.count, velocities.count) = (count, count);
+    positions.size = weight * count * space.length * space.length;
+    [positions, velocities]
 }
 
 /// The value of [`trajectory_loss`], and its derivative by each particle's state: `2w(r − r̂)` and

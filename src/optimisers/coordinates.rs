@@ -84,7 +84,7 @@ impl Coordinates {
     }
 
     /// `∂parameters/∂coordinates`, row by row.
-    fn jacobian(&self, parameters: &[f64]) -> Vec<f64> {
+    pub(crate) fn jacobian(&self, parameters: &[f64]) -> Vec<f64> {
         let count = parameters.len();
         let mut jacobian = vec![0.0; count * count];
         for (row, (kind, &x)) in self.kinds.iter().zip(parameters).enumerate() {

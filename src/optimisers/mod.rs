@@ -12,12 +12,14 @@ mod coordinates;
 mod lbfgs;
 mod levenberg_marquardt;
 mod rmsprop;
+mod spectrum;
 
 pub use adam::Adam;
 pub use coordinates::Coordinates;
 pub use lbfgs::{Lbfgs, LineSearch};
 pub use levenberg_marquardt::LevenbergMarquardt;
 pub use rmsprop::Rmsprop;
+pub use spectrum::Spectrum;
 
 /// A first-order optimiser: moves parameters against a gradient.
 pub trait Descend {

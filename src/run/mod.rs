@@ -1,19 +1,18 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
 mod evaluated;
+mod learned;
 mod priced;
 mod reproduction;
 mod requirements;
 mod training;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use learned::{Losses, Seconds, TrainingReport};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use requirements::Requirements;
-pub use training::{
-    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training,
-    what,
-};
+pub use training::{Lesson, Progress, Training, earlier_guess, settle_training, what};
 
 use crate::error::{Error, Result};
 use crate::flow::{Flow, Rows, State, in_pool};
@@ -177,7 +176,7 @@ pub fn truth_from_recording<const D: usize>(
             "set learn.after and learn.frames to what there is",
         );
     }
-    let mut truth = Truth::default();
+    let mut truth = Truth { is_recorded: true, ..Truth::default() };
     for k in first..=first + frames {
         let frame = recording.frame(topic, k)?;
         truth.states.push(State {

@@ -1,19 +1,21 @@
 //! A training from beginning to end: truth, search, learned flow, all of it recorded.
 
-use super::{begin_recording, frame, run_info, run_recorded, truth_from_recording};
+use super::{
+    Losses, Seconds, TrainingReport, begin_recording, frame, run_info, run_recorded,
+    truth_from_recording,
+};
 use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::learn::{Evaluation, Iteration, Learner, Outcome};
 use crate::parameters::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
-use crate::scene::{Chosen, Learn, Scene};
+use crate::scene::{Learn, Scene};
 use crate::sensitivity::SHORTEN;
 use crate::statistics::pressure_error;
 use crate::trade::{Choice, settle};
 use crate::truth::{Truth, statistical_floor};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// What is learned from: the truth, and its parameters where they are known.
@@ -137,6 +139,9 @@ impl<const D: usize> Training<'_, D> {
         };
         let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
         recorder.log(level, end, text)?;
+        if let Ok((outcome, _)) = &outcome {
+            self.record_knowledge(learner, outcome, &mut recorder)?;
+        }
         recorder.finish()?;
         let seconds = Seconds { truth: self.lesson.seconds, train: clock.elapsed().as_secs_f64() };
         let (outcome, pressure_error) = outcome?;
@@ -254,11 +259,40 @@ impl<const D: usize> Training<'_, D> {
         let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
         flow.set_learned(learner.columns(), &outcome.evaluation.parameters)?;
         let steps = (lesson.learn.steps(), &scene.record);
-        run_recorded(&mut flow, steps, (Some(recorder), recording::Flow::Learned), &mut |_| {})?;
+        let target = (Some(recorder), recording::Flow::Learned);
+        match run_recorded(&mut flow, steps, target, &mut |_| {}) {
+            // Learned over fewer frames: what it does after them is a finding, and is in the log.
+            Err(Error::Diverged { .. }) if outcome.knowledge.window < lesson.learn.frames => {}
+            other => other?,
+        }
         // A learned equation of state can be held against the true one.
         let learned = flow.model().has_stress_network() && lesson.known.is_some();
         let seen = lesson.truth.densities_seen();
         Ok(learned.then(|| pressure_error(&flow, &scene.fluid.constants(), seen)))
+    }
+
+    /// Records how well the parameters are known: in the log, and as the attachment `knowledge.json`.
+    fn record_knowledge(
+        &self,
+        learner: &Learner<D>,
+        outcome: &Outcome,
+        recorder: &mut Recorder,
+    ) -> Result<()> {
+        let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
+        let (knowledge, values) = (&outcome.knowledge, &outcome.evaluation.parameters);
+        let level = if knowledge.converged { Level::Info } else { Level::Warning };
+        for line in knowledge.lines() {
+            recorder.log(level, end, line)?;
+        }
+        for (name, value) in learner.columns().iter().zip(values).filter(|(p, _)| !p.is_weight()) {
+            let doubted = knowledge.doubts.contains_key(name.name());
+            let level = if doubted { Level::Warning } else { Level::Info };
+            recorder.log(level, end, format!("{name} {}", knowledge.value(name.name(), *value)))?;
+        }
+        let text = serde_json::to_string(knowledge).map_err(|error| {
+            Error::input("what is known", "numbers that JSON can hold", error, "report it as a bug")
+        })?;
+        recorder.attach("knowledge.json", "application/json", text.into_bytes())
     }
 
     fn report(&self, learner: &Learner<D>, outcome: &Outcome, seconds: Seconds) -> TrainingReport {
@@ -286,6 +320,7 @@ impl<const D: usize> Training<'_, D> {
                 field: evaluation.field,
                 kl: evaluation.kl,
             },
+            knowledge: outcome.knowledge.clone(),
             kl_floor: None,
             pressure_error: None,
         }
@@ -340,71 +375,4 @@ pub fn earlier_guess<const D: usize>(path: &Path, learner: &Learner<D>) -> Resul
             "resume with the scene that wrote the recording",
         )),
     }
-}
-
-/// What a training comes to.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TrainingReport {
-    /// Name of the scene.
-    pub scene: String,
-    /// Kind of the model.
-    pub model: String,
-    /// Number of particles.
-    pub particles: usize,
-    /// Steps to the last that is observed.
-    pub steps: usize,
-    /// The step that was chosen for the accuracy asked for.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub chosen: Option<Chosen>,
-    /// How the gradient was found.
-    pub gradient: String,
-    /// Iterations of the search.
-    pub iterations: usize,
-    /// Loss of the guess; infinite, and `null` in JSON, where its flow diverges.
-    #[serde(deserialize_with = "infinite_or")]
-    pub loss_initial: f64,
-    /// Loss at the end.
-    pub loss_final: f64,
-    /// Learned parameters by name.
-    pub parameters: BTreeMap<String, f64>,
-    /// True ones, where they are known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub truth: Option<BTreeMap<String, f64>>,
-    /// Wall-clock time.
-    pub seconds: Seconds,
-    /// Where everything was recorded.
-    pub recording: PathBuf,
-    /// Parts of the final loss.
-    pub losses: Losses,
-    /// The statistical loss between realisations of the truth.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub kl_floor: Option<f64>,
-    /// Largest difference of a learned pressure from the true one, over the densities seen.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub pressure_error: Option<f64>,
-}
-
-/// Parts of a loss.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Losses {
-    /// Of trajectories.
-    pub trajectory: f64,
-    /// Of fields.
-    pub field: f64,
-    /// Of velocity increments.
-    pub kl: f64,
-}
-
-/// Wall-clock times in seconds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Seconds {
-    /// To make or read the truth.
-    pub truth: f64,
-    /// To search, and to record it.
-    pub train: f64,
-}
-
-/// JSON has no infinity.
-fn infinite_or<'de, R: serde::Deserializer<'de>>(reader: R) -> std::result::Result<f64, R::Error> {
-    Ok(Option::deserialize(reader)?.unwrap_or(f64::INFINITY))
 }

@@ -50,6 +50,8 @@ pub struct FlowPrice {
     pub neighbours: f64,
     /// Errors against the reference.
     pub errors: FlowErrors,
+    /// The step at which it diverged.
+    pub diverged: Option<u64>,
 }
 
 /// Prices every setting of a flow from a state; `tick` is called behind each.
@@ -106,9 +108,10 @@ fn price<const D: usize>(
         Ok(end) => {
             let errors = end.errors(own, (state, reference));
             let (bytes, neighbours) = (end.bytes, end.neighbours);
-            FlowPrice { setting, step_ns, cost, bytes, neighbours, errors }
+            FlowPrice { setting, step_ns, cost, bytes, neighbours, errors, diverged: None }
         }
-        Err(_) => FlowPrice {
+        Err(error) => FlowPrice {
+            diverged: error.diverged_at(),
             setting,
             step_ns,
             cost,

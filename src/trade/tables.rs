@@ -76,13 +76,16 @@ fn flow_table(flows: &[FlowPrice]) -> Table {
         contests.then_some((price.cost, price.errors.trajectory))
     }));
     let row = |(price, best): (&FlowPrice, bool)| {
-        let FlowPrice { setting, step_ns, cost, bytes, neighbours, errors } = price;
+        let FlowPrice { setting, step_ns, cost, bytes, neighbours, errors, diverged } = price;
         let lost = errors.trajectory.is_nan();
         let effect = match setting.effect {
-            _ if lost => "does not hold",
-            Effect::None => "speed only",
-            Effect::Accuracy => "accuracy",
-            Effect::Other => "the equations",
+            _ if lost => match diverged {
+                Some(step) => format!("does not hold: diverged at step {step}"),
+                None => "does not hold".to_owned(),
+            },
+            Effect::None => "speed only".to_owned(),
+            Effect::Accuracy => "accuracy".to_owned(),
+            Effect::Other => "the equations".to_owned(),
         };
         let numbers = [
             *cost,
@@ -94,7 +97,7 @@ fn flow_table(flows: &[FlowPrice]) -> Table {
             errors.energy,
             errors.momentum,
         ];
-        let cells = numbers.map(Cell::Number).into_iter().chain([Cell::Text(effect.to_owned())]);
+        let cells = numbers.map(Cell::Number).into_iter().chain([Cell::Text(effect)]);
         Row {
             name: setting.name(),
             role: Role::Model,

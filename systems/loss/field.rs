@@ -3,7 +3,7 @@
 use super::{FrameLoss, LossPart, Seen, packed};
 use crate::kernel::{AnyKernel, Kernel, Smoothing};
 use crate::losses::{
-    DirectParameter, Points, SquareSum, StateAdjoint, field, field_adjoint, field_loss, field_value,
+    DirectParameter, Points, StateAdjoint, field, field_adjoint, field_loss, field_value,
 };
 use crate::models::FluidConstants;
 use crate::scalar::Lanes;
@@ -50,11 +50,10 @@ impl<const D: usize> FrameLoss<D> for FieldLoss {
     }
 
     fn empty(&self, blocks: usize) -> LossPart {
-        LossPart::Squares(SquareSum::new(blocks))
+        LossPart::squares(["field"], blocks)
     }
 
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
-        let LossPart::Squares(sum) = sum else { return };
         let truth = (&seen.frame.field[..], weight(seen));
         let fields = if blocks.is_empty() { Vec::new() } else { by_kernel(seen) };
         let directions: Vec<Vec<Lanes>> = fields
@@ -66,7 +65,7 @@ impl<const D: usize> FrameLoss<D> for FieldLoss {
             direct.map(|((_, field), directions)| DirectParameter { field, directions }).collect();
         let points = points(seen, &seen.medium.smoothing);
         let blocks = packed(blocks);
-        sum.merge(&field_loss(&seen.observations.mesh, &points, (&blocks, &direct), truth));
+        sum.merge(&[field_loss(&seen.observations.mesh, &points, (&blocks, &direct), truth)]);
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {

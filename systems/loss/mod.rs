@@ -133,17 +133,29 @@ pub struct Losses<const D: usize>(pub Vec<Box<dyn FrameLoss<D>>>);
 /// The sum of one loss.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LossPart {
-    /// A sum of squares, with its Gauss–Newton matrix.
-    Squares(SquareSum),
+    /// Sums of squares by what was measured, with their Gauss–Newton matrices.
+    Squares(Vec<(&'static str, SquareSum)>),
     /// No sum of squares.
     Gradient(GradientSum),
 }
 
 impl LossPart {
+    /// Empty sums of squares of these quantities, over `blocks` blocks of parameters.
+    pub fn squares<const N: usize>(names: [&'static str; N], blocks: usize) -> Self {
+        Self::Squares(names.map(|name| (name, SquareSum::new(blocks))).to_vec())
+    }
+
+    /// Adds a frame's sums of squares, quantity by quantity.
+    pub fn merge(&mut self, frame: &[SquareSum]) {
+        if let Self::Squares(sums) = self {
+            sums.iter_mut().zip(frame).for_each(|((_, sum), frame)| sum.merge(frame));
+        }
+    }
+
     /// The weighted loss.
     pub fn value(&self) -> f64 {
         match self {
-            Self::Squares(sum) => sum.value,
+            Self::Squares(sums) => sums.iter().map(|(_, sum)| sum.value).sum(),
             Self::Gradient(sum) => sum.value,
         }
     }
@@ -151,7 +163,7 @@ impl LossPart {
     /// `∂value/∂θ` of the first `count` parameters.
     pub fn gradient(&self, count: usize) -> Vec<f64> {
         match self {
-            Self::Squares(sum) => sum.gradient(count),
+            Self::Squares(sums) => sum(count, sums.iter().map(|(_, sum)| sum.gradient(count))),
             Self::Gradient(sum) => sum.gradient(count),
         }
     }
@@ -159,14 +171,17 @@ impl LossPart {
     /// The Gauss–Newton matrix of the first `count` parameters; none of a loss that is no sum of squares.
     pub fn normal(&self, count: usize) -> Option<Vec<f64>> {
         match self {
-            Self::Squares(sum) => Some(sum.normal(count)),
+            Self::Squares(sums) => {
+                Some(sum(count * count, sums.iter().map(|(_, sum)| sum.normal(count))))
+            }
             Self::Gradient(_) => None,
         }
     }
 
     fn add_value(&mut self, value: f64) {
         match self {
-            Self::Squares(sum) => sum.value += value,
+            // By the adjoint no share has a matrix, and nothing is told apart.
+            Self::Squares(sums) => sums.iter_mut().take(1).for_each(|(_, sum)| sum.value += value),
             Self::Gradient(sum) => sum.value += value,
         }
     }
@@ -202,6 +217,15 @@ impl LossSum {
     /// `∂value/∂θ` of the first `count` parameters.
     pub fn gradient(&self, count: usize) -> Vec<f64> {
         sum(count, self.parts.iter().map(|(_, part)| part.gradient(count)))
+    }
+
+    /// The sums of squares by what was measured; none where some part is no sum of squares.
+    pub fn squares(&self) -> Option<Vec<&(&'static str, SquareSum)>> {
+        let parts = self.parts.iter().map(|(_, part)| match part {
+            LossPart::Squares(sums) => Some(sums),
+            LossPart::Gradient(_) => None,
+        });
+        Some(parts.collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
     }
 
     /// The Gauss–Newton matrix of the first `count` parameters, over all sums of squares.

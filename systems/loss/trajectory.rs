@@ -1,7 +1,7 @@
 //! The trajectory loss as a term: every particle against its true self.
 
 use super::{FrameLoss, LossPart, Seen, packed};
-use crate::losses::{SquareSum, StateAdjoint, trajectory_adjoint, trajectory_loss};
+use crate::losses::{StateAdjoint, trajectory_adjoint, trajectory_loss};
 use crate::systems::particles::SensitivityBlock;
 use crate::vector::Vector;
 
@@ -24,13 +24,13 @@ impl<const D: usize> FrameLoss<D> for TrajectoryLoss {
     }
 
     fn empty(&self, blocks: usize) -> LossPart {
-        LossPart::Squares(SquareSum::new(blocks))
+        LossPart::squares(["positions", "velocities"], blocks)
     }
 
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
-        let LossPart::Squares(sum) = sum else { return };
         let weight = (seen.neighbours.space, seen.observations.trajectory);
-        sum.merge(&trajectory_loss(seen.cloud.particles(), &packed(blocks), truth(seen), weight));
+        let found = trajectory_loss(seen.cloud.particles(), &packed(blocks), truth(seen), weight);
+        sum.merge(&found);
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {

@@ -37,11 +37,13 @@ pub(crate) fn describe(report: &TrainingReport) {
         if is_weight(name) {
             continue;
         }
+        let known = report.knowledge.value(name, *value);
         let against = match report.truth.as_ref().and_then(|truth| truth.get(name)) {
             Some(truth) => format!("   truth {truth}, off by {:.1e}", (value - truth).abs()),
             None => String::new(),
         };
-        say(format!("  {name:6} {value:.12}{against}"));
+        say(format!("  {name:6} {known}{against}"));
     }
+    report.knowledge.lines().iter().for_each(|line| say(format!("  {line}")));
     say(format!("recorded in {}", report.recording.display()));
 }

@@ -1,0 +1,60 @@
+//! What a search says where a flow diverges: the parameters, and a remedy that can be followed.
+
+use super::Learner;
+use crate::error::Error;
+use crate::space::PeriodicBox;
+use crate::systems::loss::Observations;
+
+/// Distances from frame to frame this many times longer or shorter than velocities make them are no round-off of a
+/// step.
+const APART: f64 = 2.0;
+
+impl<const D: usize> Learner<D> {
+    /// Physical parameters in words.
+    pub(super) fn in_words(&self, learned: &[f64]) -> String {
+        let all = self.columns.iter().zip(learned).filter(|(name, _)| !name.is_weight());
+        let words: Vec<String> = all.map(|(name, value)| format!("{name} = {value:.4}")).collect();
+        if words.is_empty() { "these weights".to_owned() } else { words.join(", ") }
+    }
+
+    /// An error of an evaluation, with the parameters at which it happened; with recorded particles the remedy is
+    /// what can be changed there, and that is not the time step alone.
+    pub(super) fn explain(&self, error: Error, learned: &[f64]) -> Error {
+        let Error::Diverged { step, time, quantity, found, remedy } = error else { return error };
+        let lonely = self.flow.loneliness().is_some();
+        let found = format!("{found}, at {}", self.in_words(learned));
+        let remedy = match (lonely, self.is_recorded) {
+            (true, _) => remedy,
+            (false, false) => format!("start nearer to the truth (learn.guess), or {remedy}"),
+            (false, true) => self.remedy_with_data(),
+        };
+        Error::Diverged { step, time, quantity, found, remedy }
+    }
+
+    fn remedy_with_data(&self) -> String {
+        let interval = self.units.1;
+        let data = self.doubt_of_data().map_or_else(String::new, |doubt| format!("{doubt}; or "));
+        format!(
+            "{data}start nearer to the truth (learn.guess), or take more steps from frame to frame: learn.every \
+             = k with time.dt = {interval}/k (now k = {})",
+            self.learn.every
+        )
+    }
+
+    /// Whether recorded velocities are those of the recorded positions: units, time, rows.
+    pub(super) fn doubt_of_data(&self) -> Option<String> {
+        let (length, interval) = self.units;
+        let space = PeriodicBox { length };
+        let next = self.flow.world().get_resource::<Observations<D>>()?.frames.first()?.clone();
+        let moves = next.positions.iter().zip(&self.from.positions);
+        let moved: f64 = moves.map(|(&a, &b)| space.minimum_image(a - b).norm()).sum();
+        let speeds: f64 = self.from.velocities.iter().map(|v| v.norm()).sum();
+        let ratio = moved / (speeds * interval);
+        (self.is_recorded && speeds > 0.0 && !(1.0 / APART..=APART).contains(&ratio)).then(|| {
+            format!(
+                "from frame to frame particles move {ratio:.2e} times as far as their velocities say: check the \
+                 units of the velocities, the time between frames and the order of the particles"
+            )
+        })
+    }
+}

@@ -1,0 +1,184 @@
+//! Searches by gradients: first-order steps, and limited-memory BFGS along lines.
+
+use super::search::Search;
+use super::{Evaluation, Iteration, Learner};
+use crate::error::Result;
+use crate::optimisers::{Coordinates, Descend, Lbfgs, LineSearch};
+
+/// Trials along one line of a quasi-Newton search.
+const TRIALS: usize = 20;
+
+impl<const D: usize> Learner<D> {
+    /// Iterations that one stage of a search by gradients may take: all have an equal share.
+    fn share(&self) -> usize {
+        let stages = self.learn.windows.iter().filter(|&&w| w < self.frames).count() + 1;
+        self.learn.iterations.div_ceil(stages)
+    }
+
+    /// One stage of first-order steps, from an evaluation to the last.
+    pub(super) fn descend(
+        &mut self,
+        search: &mut Search,
+        (window, mut here): (usize, Evaluation),
+        (mut optimiser, decay): (impl Descend, f64),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Evaluation> {
+        // Ten decays a stage.
+        let share = self.share();
+        let last = window == self.frames;
+        let coordinates = self.coordinates();
+        for iteration in 0..=share {
+            if last {
+                search.meet(&here);
+            }
+            if iteration == share || here.loss <= self.learn.target {
+                break;
+            }
+            let rate = optimiser.rate();
+            optimiser.descend(&mut search.at, &here.gradient);
+            search.at = coordinates.into_domain(&here.parameters, &search.at);
+            if (iteration + 1) % share.div_ceil(10) == 0 {
+                optimiser.set_rate(rate * decay);
+            }
+            let mut note = None;
+            match self.evaluate(&search.at, window) {
+                Ok(found) => here = found,
+                Err(error) => {
+                    // Back to the last flow that could be trusted, and on more carefully.
+                    search.at.copy_from_slice(&here.parameters);
+                    optimiser.set_rate(0.5 * optimiser.rate());
+                    note = Some(format!("step taken back, rate halved: {error}"));
+                }
+            }
+            (search.index, search.window) = (search.index + 1, window);
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &here, rate, note })?;
+        }
+        Ok(here)
+    }
+
+    /// Limited-memory BFGS in the coordinates. An iteration is one evaluation: a trial on a line counts
+    /// like any other.
+    pub(super) fn quasi_newton(
+        &mut self,
+        search: &mut Search,
+        (window, mut here): (usize, Evaluation),
+        (memory, length): (usize, f64),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Evaluation> {
+        let end = search.index + self.share();
+        let coordinates = self.coordinates();
+        let mut optimiser = Lbfgs::new(memory);
+        let mut failures = 0;
+        while search.index < end && here.loss > self.learn.target && failures < 2 {
+            let slopes = coordinates.pull_gradient_back(&here.parameters, &here.gradient);
+            let direction = optimiser.direction(&slopes);
+            let from = coordinates.coordinates(&here.parameters);
+            let first = if optimiser.is_empty() { length } else { 1.0 };
+            let (coordinates, start) = (&coordinates, &here.parameters[..]);
+            let line = Line { coordinates, start, from: &from, direction: &direction, window };
+            let trials = TRIALS.min(end - search.index);
+            match self.search_line(search, (&line, first, trials), &here, watch)? {
+                Some(new) => {
+                    let there = coordinates.coordinates(&new.parameters);
+                    let turned = coordinates.pull_gradient_back(&new.parameters, &new.gradient);
+                    optimiser.remember(minus(&there, &from), minus(&turned, &slopes));
+                    here = new;
+                    failures = 0;
+                }
+                // Once it may be the memory's fault; twice nowhere is the end.
+                None => {
+                    optimiser.forget();
+                    failures += 1;
+                }
+            }
+        }
+        if window == self.frames {
+            search.meet(&here);
+        }
+        Ok(here)
+    }
+
+    /// The first evaluation on a line that satisfies its conditions, or else the last that is lower.
+    fn search_line(
+        &mut self,
+        search: &mut Search,
+        (line, first, trials): (&Line<'_>, f64, usize),
+        here: &Evaluation,
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Option<Evaluation>> {
+        let mut lengths = LineSearch::new(here.loss, line.slope(here), first);
+        let mut found = None;
+        for _ in 0..trials {
+            let rate = lengths.length;
+            let trial = match line.at(rate) {
+                Some(there) => self.evaluate(&there, line.window).map_err(|e| e.to_string()),
+                None => Err("its sound speed is imaginary".to_owned()),
+            };
+            (search.index, search.window) = (search.index + 1, line.window);
+            let done = lengths.accept(trial.as_ref().ok().map(|t| (t.loss, line.slope(t))));
+            // A length that is too long or too short is a line search's daily bread; a flow that
+            // diverged is not.
+            let note = trial.as_ref().err().map(|error| format!("trial taken back: {error}"));
+            found = trial.ok().filter(|t| t.loss < here.loss).or(found);
+            let evaluation = found.as_ref().filter(|_| done).unwrap_or(here);
+            let (index, window) = (search.index, line.window);
+            watch(&Iteration { index, window, evaluation, rate, note })?;
+            if done {
+                break;
+            }
+        }
+        Ok(found)
+    }
+
+    /// Ends a first-order search with its best evaluation, where the last iteration is another one.
+    pub(super) fn go_back(
+        &self,
+        search: &mut Search,
+        (met, best): (usize, Evaluation),
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Evaluation> {
+        let window = self.frames;
+        if met != search.index || search.window != window {
+            search.index += 1;
+            let note = Some(format!("the parameters of iteration {met}, the best over all frames"));
+            let index = search.index;
+            watch(&Iteration { index, window, evaluation: &best, rate: 0.0, note })?;
+        }
+        Ok(best)
+    }
+}
+
+/// A line in the space of the coordinates.
+struct Line<'a> {
+    coordinates: &'a Coordinates,
+    /// The parameters where it begins.
+    start: &'a [f64],
+    from: &'a [f64],
+    direction: &'a [f64],
+    /// Frames over which evaluations on it run.
+    window: usize,
+}
+
+impl Line<'_> {
+    /// The parameters at a length; `None` where there are none.
+    fn at(&self, length: f64) -> Option<Vec<f64>> {
+        let steps = self.from.iter().zip(self.direction).map(|(x, d)| x + length * d);
+        let there = self.coordinates.parameters(&steps.collect::<Vec<_>>())?;
+        Some(self.coordinates.into_domain(self.start, &there))
+    }
+
+    /// The loss's slope along the line.
+    fn slope(&self, evaluation: &Evaluation) -> f64 {
+        let (at, gradient) = (&evaluation.parameters, &evaluation.gradient);
+        dot(&self.coordinates.pull_gradient_back(at, gradient), self.direction)
+    }
+}
+
+fn minus(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

@@ -1,0 +1,157 @@
+//! Searches in data with measurement noise: all of them end with a result, and it says how well it is known.
+//!
+//! `WHIRLS_NOISE_SEEDS=32 cargo test --release --test noise -- --nocapture` runs all 32 seeds and prints every one.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
+
+mod common;
+
+use common::{densities, true_value};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use whirls::Scene;
+use whirls::flow::State;
+use whirls::learn::{Learner, Outcome, Stop};
+use whirls::truth::Truth;
+
+/// Noise of positions in particle spacings, and of velocities in root-mean-square velocities.
+const LEVELS: [(f64, f64); 3] = [(0.005, 0.05), (0.013, 0.05), (0.05, 0.2)];
+
+fn scene(more: &[&str]) -> Scene {
+    let small = ["fluid.particles_per_side=8", "fluid.smoothing_length=0.67", "learn.after=19"];
+    let overrides = small.iter().chain(more).map(|&key| key.to_owned());
+    Scene::open("inverse-3d", &overrides.collect::<Vec<_>>()).unwrap()
+}
+
+/// The number of seeds, `few` where the environment does not say more.
+fn seeds(few: u64) -> std::ops::RangeInclusive<u64> {
+    let asked = std::env::var("WHIRLS_NOISE_SEEDS").ok().and_then(|count| count.parse().ok());
+    1..=asked.unwrap_or(few)
+}
+
+/// A truth as it is measured: with normal noise on every frame from `first` on.
+fn measured(
+    (scene, truth): (&Scene, &Truth<3>),
+    (positions, velocities): (f64, f64),
+    (first, seed): (usize, u64),
+) -> Truth<3> {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    let speeds: f64 = truth.states[0].velocities.iter().map(|v| v.norm_squared()).sum();
+    let speed = (speeds / (3 * truth.states[0].velocities.len()) as f64).sqrt();
+    let (positions, velocities) = (positions * common::spacing(scene), velocities * speed);
+    let mut measured = Truth { is_recorded: true, ..truth.clone() };
+    for (k, state) in measured.states.iter_mut().enumerate().skip(first) {
+        let mut shake = |all: &mut [whirls::vector::Vector<f64, 3>], size: f64| {
+            for x in all.iter_mut().flat_map(|r| &mut r.0) {
+                *x += size * generator.sample::<f64, _>(StandardNormal);
+            }
+        };
+        shake(&mut state.positions, positions);
+        shake(&mut state.velocities, velocities);
+        let length = scene.fluid.box_length;
+        let inside = state
+            .positions
+            .iter()
+            .map(|r| whirls::vector::Vector(r.0.map(|x| x.rem_euclid(length))));
+        let inside = State { positions: inside.collect(), ..state.clone() };
+        measured.densities[k] = densities(scene, &inside);
+        *state = inside;
+    }
+    measured
+}
+
+/// A search from the guess of a seed.
+fn search(scene: &Scene, truth: &Truth<3>, seed: u64) -> Outcome {
+    let mut learner = Learner::of_truth(scene, truth).unwrap();
+    let guess = learner.guess(seed);
+    learner.run(guess, &mut |_| Ok(())).unwrap()
+}
+
+/// How many standard errors each parameter is off; infinite for one that is not identified.
+fn deviations(scene: &Scene, outcome: &Outcome) -> Vec<f64> {
+    let parameters = &scene.learn.as_ref().unwrap().parameters;
+    let off = parameters.iter().zip(&outcome.evaluation.parameters);
+    off.map(|(p, value)| {
+        let error = outcome.knowledge.standard_error.get(p.name());
+        error.map_or(f64::INFINITY, |error| (value - true_value(scene, p)).abs() / error)
+    })
+    .collect()
+}
+
+fn show(seed: u64, scene: &Scene, outcome: &Outcome) {
+    let names = &scene.learn.as_ref().unwrap().parameters;
+    let values = names.iter().zip(&outcome.evaluation.parameters);
+    let words = values.map(|(p, &x)| format!("{p} {}", outcome.knowledge.value(p.name(), x)));
+    println!(
+        "{seed:3} {:3} iterations, loss {:.2e}, {:?}: {}; {:?}",
+        outcome.iterations,
+        outcome.evaluation.loss,
+        outcome.knowledge.stopped_by,
+        words.collect::<Vec<_>>().join(", "),
+        outcome.knowledge.remarks
+    );
+}
+
+#[test]
+fn a_staged_search_in_noisy_data_always_ends_with_a_result() {
+    for loss in ["learn.loss={field=1.0}", "learn.loss={trajectory=1.0,field=0.0}"] {
+        let scene = scene(&[loss]);
+        let truth = Truth::<3>::generate(&scene, (19, 10)).unwrap();
+        for level in LEVELS {
+            println!("{loss}, noise {level:?} on all frames");
+            for seed in seeds(4) {
+                let measured = measured((&scene, &truth), level, (0, seed));
+                let outcome = search(&scene, &measured, seed);
+                show(seed, &scene, &outcome);
+                assert_eq!(outcome.knowledge.window, 10, "{:?}", outcome.knowledge.remarks);
+                assert!(outcome.evaluation.loss < outcome.initial_loss, "seed {seed}");
+            }
+        }
+    }
+}
+
+#[test]
+fn true_values_are_within_two_standard_errors_where_the_first_frame_is_exact() {
+    for loss in ["learn.loss={field=1.0}", "learn.loss={trajectory=1.0,field=0.0}"] {
+        let scene = scene(&[loss]);
+        let truth = Truth::<3>::generate(&scene, (19, 10)).unwrap();
+        for level in [LEVELS[0], LEVELS[1]] {
+            let (mut within, mut all) = (0, 0);
+            println!("{loss}, noise {level:?} on all frames but the first");
+            for seed in seeds(6) {
+                let measured = measured((&scene, &truth), level, (1, seed));
+                let outcome = search(&scene, &measured, seed);
+                show(seed, &scene, &outcome);
+                assert_eq!(outcome.knowledge.stopped_by, Stop::Noise);
+                let off = deviations(&scene, &outcome);
+                within += off.iter().filter(|&&off| off <= 2.0).count();
+                all += off.len();
+            }
+            println!("within two standard errors: {within} of {all}");
+            assert!(100 * within >= 85 * all, "{loss}, {level:?}: {within} of {all}");
+        }
+    }
+}
+
+/// What noise of the first frame, which a prediction takes as exact, does to the parameters: a bias that the standard
+/// errors do not know.
+#[test]
+fn noise_of_the_first_frame_biases_the_parameters_and_the_result_says_so() {
+    let scene = scene(&["learn.loss={trajectory=1.0,field=0.0}"]);
+    let truth = Truth::<3>::generate(&scene, (19, 10)).unwrap();
+    for level in LEVELS {
+        let mut means = [0.0; 4];
+        let count = seeds(4).count() as f64;
+        for seed in seeds(4) {
+            let measured = measured((&scene, &truth), level, (0, seed));
+            let outcome = search(&scene, &measured, seed);
+            let values = outcome.evaluation.parameters.iter();
+            means.iter_mut().zip(values).for_each(|(mean, value)| *mean += value / count);
+            let said = |text: &String| text.contains("the first frame is taken as exact");
+            assert!(outcome.knowledge.remarks.iter().any(said), "{:?}", outcome.knowledge.remarks);
+        }
+        println!("noise {level:?}: mean c, alpha, beta, gamma {means:.3?} for 10, 1, 2, 7");
+    }
+}
