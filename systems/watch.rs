@@ -198,7 +198,8 @@ impl CloserLook {
             (
                 "the kinetic energy per unit mass".to_owned(),
                 format!("is {energy:.3e}, expected at most {:e}", limits.energy),
-                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta)"
+                "take a smaller time step (time.courant) or a weaker forcing (forcing.theta); \
+                 where the flow is meant to be that fast, raise limits.energy"
                     .to_owned(),
             )
         })
