@@ -4,12 +4,16 @@
 //! is read in one pass without recursion.
 
 use crate::error::{Error, Result};
+use crate::files;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// What every `.npy` file begins with.
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
+
+/// What to do about what is no array.
+const SAVE: &str = "save it with numpy.save";
 
 /// No header is longer: that of an array of numbers has some hundred bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
@@ -31,6 +35,7 @@ impl Array {
     /// # Errors
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is anything else.
     pub fn open(path: &Path, rank: usize) -> Result<Self> {
+        files::must_be_a_file(path)?;
         let failed = |source| Error::read(path, source);
         let file = File::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
@@ -47,11 +52,12 @@ impl Array {
         place: impl ToString,
     ) -> Result<Self> {
         let place = place.to_string();
-        let refuse = |found: String| {
+        let otherwise = |(found, remedy): (String, &str)| {
             let expected = format!("a .npy array of f32 or f64 with {rank} axes");
-            Error::input(&place, expected, found, "save it with numpy.save")
+            Error::input(&place, expected, found, remedy)
         };
-        let header = Header::read(&mut reader, bytes).map_err(&refuse)?;
+        let refuse = |found: String| otherwise((found, SAVE));
+        let header = Header::read(&mut reader, bytes).map_err(otherwise)?;
         let Header { shape, kind, fortran, length } = header;
         let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
         let wanted = count.and_then(|count| (kind.bytes as u64).checked_mul(count as u64));
@@ -66,10 +72,13 @@ impl Array {
             reader.read_exact(bytes).map_err(|error| refuse(error.to_string()))?;
             values.push(kind.number(bytes));
         }
-        match values.iter().find(|x| !x.is_finite()) {
-            None => Ok(Self { shape, values, fortran }),
-            Some(found) => {
-                let remedy = "leave out frames that are not whole";
+        let array = Self { shape, values, fortran };
+        match array.values.iter().position(|x| !x.is_finite()) {
+            None => Ok(array),
+            Some(at) => {
+                let found = format!("{} at {:?}", array.values[at], array.index_of(at));
+                let remedy = "leave out the particles of which some frames are not known, \
+                              or cut the array where the first number is missing";
                 Err(Error::input(&place, "finite numbers", found, remedy))
             }
         }
@@ -87,11 +96,53 @@ impl Array {
         Err(Error::input(place, expected, found, "give arrays of one flow"))
     }
 
+    /// The index of a number by its place in the file.
+    fn index_of(&self, mut place: usize) -> Vec<usize> {
+        let mut index = vec![0; self.shape.len()];
+        let mut take = |axis: usize| {
+            index[axis] = place % self.shape[axis];
+            place /= self.shape[axis];
+        };
+        match self.fortran {
+            true => (0..self.shape.len()).for_each(&mut take),
+            false => (0..self.shape.len()).rev().for_each(&mut take),
+        }
+        index
+    }
+
     /// The number at an index, one entry per axis.
     pub fn at(&self, index: &[usize]) -> f64 {
         let axes = index.iter().zip(&self.shape);
         let fold = |place: usize, (&i, &n): (&usize, &usize)| place * n + i;
         self.values[if self.fortran { axes.rev().fold(0, fold) } else { axes.fold(0, fold) }]
+    }
+}
+
+/// A type of numbers that is not read, in words.
+fn words(descr: &str) -> &'static str {
+    match descr.trim_start_matches(['<', '>', '|', '=']).chars().next() {
+        Some('f') => "floating point of another width",
+        Some('i' | 'u') => "whole numbers",
+        Some('b') => "true or false",
+        Some('c') => "complex numbers",
+        Some('O') => "Python objects, as of frames of different lengths",
+        Some('[') => "rows of named fields",
+        Some('S' | 'U') => "text",
+        _ => "no numbers that are known here",
+    }
+}
+
+/// What to do about it.
+fn instead_of(descr: &str) -> &'static str {
+    match descr.trim_start_matches(['<', '>', '|', '=']).chars().next() {
+        Some('O') => {
+            "make frames of equal length, and save numpy.stack(frames).astype(numpy.float64)"
+        }
+        Some('[') => {
+            "save one array of its fields: numpy.stack([a['x'], a['y']], -1).astype(numpy.float64)"
+        }
+        Some('c') => "save the real part: a.real.astype(numpy.float64)",
+        _ => "save it as doubles: numpy.save('r.npy', a.astype(numpy.float64))",
     }
 }
 
@@ -139,26 +190,59 @@ struct Header {
 }
 
 impl Header {
-    /// Reads it from the front of so many bytes; the error is what was found instead.
-    fn read(reader: &mut impl Read, bytes: u64) -> std::result::Result<Self, String> {
+    /// Reads it from the front of so many bytes; the error is what was found instead, and what to do.
+    fn read(
+        reader: &mut impl Read,
+        bytes: u64,
+    ) -> std::result::Result<Self, (String, &'static str)> {
+        let (text, length) = Self::text(reader, bytes)?;
+        if let Some(header) = Self::parse(&text, length) {
+            return Ok(header);
+        }
+        Err(Self::descr(&text).map_or_else(
+            || (format!("{:?}", text.trim().chars().take(200).collect::<String>()), SAVE),
+            |descr| (format!("numbers of type '{descr}' ({})", words(descr)), instead_of(descr)),
+        ))
+    }
+
+    /// Its text, and how many bytes stand before the numbers.
+    fn text(
+        reader: &mut impl Read,
+        bytes: u64,
+    ) -> std::result::Result<(String, u64), (String, &'static str)> {
         let mut take = |count: u64| {
             let mut part = Vec::new();
-            let read = reader.take(count).read_to_end(&mut part).map_err(|e| e.to_string())?;
-            if read as u64 == count { Ok(part) } else { Err(format!("a file of {bytes} bytes")) }
+            let read = reader.take(count).read_to_end(&mut part);
+            let read = read.map_err(|error| (error.to_string(), SAVE))?;
+            let short = || (format!("a file of {bytes} bytes"), SAVE);
+            if read as u64 == count { Ok(part) } else { Err(short()) }
         };
         let start = take(8)?;
         if start[..6] != *MAGIC {
-            return Err(format!("{:02x?} in front", &start[..6]));
+            return Err(match files::kind(&start) {
+                Some(kind) => (kind.name().to_owned(), kind.instead_of_an_array()),
+                None => (format!("{:02x?} in front", &start[..6]), SAVE),
+            });
         }
         let size = if start[6] == 1 { 2 } else { 4 };
         let text = take(size)?.iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));
         let length = 8 + size + text;
         if text > LONGEST_HEADER || length > bytes {
-            return Err(format!("a header of {text} bytes in a file of {bytes}"));
+            return Err((format!("a header of {text} bytes in a file of {bytes}"), SAVE));
         }
-        let text = String::from_utf8(take(text)?).map_err(|_| "a header that is no text")?;
-        let header = Self::parse(&text, length);
-        header.ok_or_else(|| format!("{:?}", text.trim().chars().take(200).collect::<String>()))
+        let no_text = |_| ("a header that is no text".to_owned(), SAVE);
+        Ok((String::from_utf8(take(text)?).map_err(no_text)?, length))
+    }
+
+    /// What a header says of the type of its numbers.
+    fn descr(text: &str) -> Option<&str> {
+        let after = text.split_once("descr")?.1.split_once(':')?.1.trim_start();
+        let quote = after.chars().next()?;
+        match quote {
+            '\'' | '"' => after[1..].split(quote).next(),
+            '[' => after.split(']').next(),
+            _ => None,
+        }
     }
 
     /// From a text such as `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 7, 2), }`.

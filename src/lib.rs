@@ -6,6 +6,7 @@ pub mod chunk;
 pub mod draft;
 pub mod error;
 pub mod evaluation;
+mod files;
 pub mod flow;
 pub mod forcing;
 pub mod kernel;

@@ -3,13 +3,14 @@
 use crate::cells::Cells;
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
-use crate::kernel::Smoothing;
+use crate::kernel::{KernelChoice, Smoothing};
 use crate::losses::{IncrementDensities, Mesh, Points, field, sampling_floor};
 use crate::packed::Packed;
 use crate::scene::{Learn, Scene, Times};
 use crate::space::PeriodicBox;
 use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// A true flow: states a scene's [`Scene::observed_every`] steps apart, with densities.
@@ -99,6 +100,26 @@ impl<const D: usize> Truth<D> {
         Ok(())
     }
 
+    /// Refuses states of different numbers of particles.
+    fn must_be_whole(&self) -> Result<()> {
+        let count = self.states.first().map_or(0, |state| state.positions.len());
+        for (k, (state, densities)) in self.states.iter().zip(&self.densities).enumerate() {
+            let found = [state.positions.len(), state.velocities.len(), densities.len()];
+            if found.iter().any(|found| *found != count) {
+                let expected =
+                    format!("{count} positions, velocities and densities, as in state 0");
+                let remedy = "keep the same particles in every state";
+                return Err(Error::input(
+                    format!("the truth, state {k}"),
+                    expected,
+                    format!("{found:?}"),
+                    remedy,
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// What a prediction from the first state is compared with: the states behind it, their
     /// fields where the scene asks for a field loss, and the densities of their increments where it
     /// asks for a statistical one.
@@ -106,18 +127,20 @@ impl<const D: usize> Truth<D> {
     /// # Errors
     /// [`crate::Error::Input`] where a number is not finite: with its frame and particle.
     pub fn observations(&self, scene: &Scene, learn: &Learn) -> Result<Observations<D>> {
+        self.must_be_whole()?;
         self.must_be_finite()?;
         let per_axis = learn
             .mesh
             .unwrap_or_else(|| (scene.particles() as f64).powf(1.0 / D as f64).round() as usize);
         let mesh = Mesh { per_axis, length: scene.fluid.box_length };
+        let space = PeriodicBox { length: scene.fluid.box_length };
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
         let observation = |(k, (state, densities)): (usize, (&State<D>, &Vec<f64>))| {
             let increments =
                 || IncrementDensities::new(&self.increments(k + 1), learn.increments.nodes);
             Ok(Observation {
                 step: (k as u64 + 1) * learn.every,
-                positions: state.positions.clone(),
+                positions: state.positions.iter().map(|&r| space.wrap(r)).collect(),
                 velocities: state.velocities.clone(),
                 field: if learn.loss.field > 0.0 {
                     velocity_field(scene, &mesh, state, densities)
@@ -170,6 +193,30 @@ pub fn statistical_floor<const D: usize>(
     Ok(learn.statistical_weight(learn.every as f64 * scene.dt()) * sum)
 }
 
+/// Densities `ρᵢ = Σⱼ m W(rᵢⱼ, h)` of particles anywhere, each of mass `m = Lᵈ/N`, in a kernel.
+pub fn summed_densities<const D: usize>(
+    (kernel, h): (KernelChoice, f64),
+    space: PeriodicBox,
+    positions: &[Vector<f64, D>],
+) -> Vec<f64> {
+    let smoothing = Smoothing::<_, D>::of(kernel.in_dimension(D), h);
+    let positions: Vec<_> = positions.iter().map(|&r| space.wrap(r)).collect();
+    let mut cells = Cells::default();
+    cells.sort(&positions, space, smoothing.support());
+    let mass = space.length.powi(D as i32) / positions.len() as f64;
+    let density = |&here: &Vector<f64, D>| {
+        let mut sum = 0.0;
+        for range in cells.around(cells.coordinates(here)).ranges() {
+            for &row in &cells.row_of_slot[range.from as usize..range.to as usize] {
+                let apart = space.minimum_image(here - positions[row as usize]).norm();
+                sum += smoothing.value(apart);
+            }
+        }
+        mass * sum
+    };
+    positions.par_iter().map(density).collect()
+}
+
 /// The smoothed velocity field of a state on a mesh, Eq. (13).
 pub fn velocity_field<const D: usize>(
     scene: &Scene,
@@ -181,9 +228,10 @@ pub fn velocity_field<const D: usize>(
     let smoothing = Smoothing::<_, D>::of(kernel, scene.fluid.smoothing_length);
     let space = PeriodicBox { length: scene.fluid.box_length };
     let mut cells = Cells::default();
-    cells.sort(&state.positions, space, smoothing.support());
+    let positions: Vec<_> = state.positions.iter().map(|&r| space.wrap(r)).collect();
+    cells.sort(&positions, space, smoothing.support());
     let line = |&row: &u32| Packed {
-        position: state.positions[row as usize].to_3d(),
+        position: positions[row as usize].to_3d(),
         velocity: state.velocities[row as usize].to_3d(),
         density: densities[row as usize],
         stress: 0.0,

@@ -154,7 +154,7 @@ fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
         ("fluid.beta=nan", &["fluid.beta", "zero or more", "NaN"]),
         ("fluid.gamma=0.0", &["fluid.gamma", "positive"]),
         ("time.courant=0.0", &["time.courant", "positive"]),
-        ("time.dt=-1.0", &["time.dt", "positive", "-1"]),
+        ("time.dt=-1.0", &["time.dt", "positive", "found -1;"]),
         ("time.skin=-0.1", &["time.skin", "zero or more", "-0.1"]),
         ("initial.jitter=-0.1", &["initial.jitter", "zero or more", "-0.1"]),
         ("initial.velocity=inf", &["initial.velocity", "zero or more", "inf"]),
@@ -186,6 +186,21 @@ fn numbers_that_no_run_could_use_are_refused_with_key_and_value() {
         ("learn.loss.field=-1.0", &["learn.loss", "zero or more", "-1"]),
         ("learn.loss={trajectory=0.0,field=0.0}", &["learn.loss", "one of them positive"]),
         ("learn.optimiser={kind='adam',rate=0.0}", &["learn.optimiser", "positive rate"]),
+        ("learn.optimiser={kind='adam',rate=inf}", &["learn.optimiser", "positive rate"]),
+        (
+            "learn.optimiser={kind='adam',rate=0.1,decay=-1}",
+            &["learn.optimiser.decay", "at most one", "-1"],
+        ),
+        ("learn.optimiser={kind='rmsprop',rate=0.1,decay=1.5}", &["learn.optimiser.decay", "1.5"]),
+        ("learn.optimiser={kind='lbfgs',memory=0}", &["learn.optimiser.memory", "found 0"]),
+        ("learn.guess.c=0", &["learn.guess.c", "a sound speed other than zero", "found 0"]),
+        ("learn.guess.c=-3", &["learn.guess.c", "a positive number", "-3"]),
+        ("learn.guess.c=nan", &["learn.guess.c", "a positive number", "NaN"]),
+        ("learn.guess.alpha=inf", &["learn.guess.alpha", "zero or more", "inf"]),
+        ("learn.guess.alpha=-1", &["learn.guess.alpha", "zero or more", "-1"]),
+        ("learn.target=inf", &["learn.target", "a finite number", "inf"]),
+        ("record.speed_scale=nan", &["record.speed_scale", "a finite number", "NaN"]),
+        ("learn.parameters=['c','c']", &["found [c, c]"]),
     ];
     for (assignment, parts) in cases {
         let message = refusal(GOOD, &[assignment]);
@@ -462,5 +477,78 @@ fn a_velocity_field_that_no_flow_could_start_with_is_refused_with_its_key() {
         let error = with_field(*dimension, field).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
         assert_says(&error.to_string(), parts);
+    }
+}
+
+/// Every `kind` of every table, the ones without keys of their own included.
+#[test]
+fn an_unknown_key_is_refused_beside_every_kind() {
+    let whole = [
+        "forcing={kind='none'}",
+        "forcing={kind='deterministic',theta=0.5}",
+        "forcing={kind='stochastic',interval=0.1}",
+        "forcing={kind='ornstein-uhlenbeck',power=1,correlation_time=1}",
+        "spin_up={steps=1,forcing={kind='none'}}",
+        "learn.model={kind='physics'}",
+        "learn.model={kind='eos-nn',height=4}",
+        "learn.model={kind='grad-p',height=4}",
+        "learn.model={kind='rot-inv',height=4}",
+        "learn.model={kind='nn-sum',height=4}",
+        "learn.model={kind='node',height=4}",
+        "learn.optimiser={kind='levenberg-marquardt'}",
+        "learn.optimiser={kind='lbfgs'}",
+        "learn.optimiser={kind='adam',rate=0.1}",
+        "learn.optimiser={kind='rmsprop',rate=0.1}",
+        "fluid.viscosity={kind='morris',nu=0.1}",
+        "fluid.viscosity={kind='monaghan-cleary',nu=0.1}",
+        "fluid.kernel={kind='w-2'}",
+        "fluid.kernel={kind='cubic-spline'}",
+        "initial.field={kind='normal'}",
+        "initial.field={kind='taylor-green'}",
+        "initial.field={kind='abc'}",
+    ];
+    for table in whole {
+        let before = table.replace("learn.optimiser", "learn.loss.field=1.0\nlearn.optimiser");
+        let good: Vec<String> = before.lines().map(str::to_owned).collect();
+        if !table.contains("'cubic-spline'") {
+            Scene::parse(GOOD, "small.toml", &good).unwrap();
+        }
+        let at = table.rfind('}').unwrap() - usize::from(table.ends_with("}}"));
+        let bad = format!("{},thetta=0.5{}", &table[..at], &table[at..]);
+        let message = refusal(GOOD, &[&bad]);
+        assert!(message.contains("thetta"), "{bad}: {message}");
+    }
+}
+
+#[test]
+fn an_unknown_key_in_a_table_with_a_kind_is_refused_with_its_own_line() {
+    let text =
+        GOOD.replace("kind = \"deterministic\"\ntheta = 0.5", "kind = \"none\"\nthetta = 0.5");
+    let message = refusal(&text, &[]);
+    assert_says(&message, &["line 15", "`thetta = 0.5`"]);
+}
+
+#[test]
+fn what_is_given_in_place_of_a_scene_is_called_what_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let utf16: Vec<u8> = "name = 1".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let cases: [(&str, Vec<u8>, &[&str]); 5] = [
+        (
+            "utf16.toml",
+            [b"\xff\xfe".to_vec(), utf16].concat(),
+            &["UTF-16", "Set-Content -Encoding utf8"],
+        ),
+        ("data.mcap", b"\x89MCAP0\r\n".to_vec(), &["an MCAP recording", "--truth FILE.mcap"]),
+        ("r.npy", b"\x93NUMPY\x01\x00".to_vec(), &["a .npy array", "import --help"]),
+        ("r.npz", b"PK\x03\x04".to_vec(), &["a zip archive", "import --help"]),
+        ("latin.toml", b"name = \"caf\xe9\"".to_vec(), &["no UTF-8", "save it as UTF-8"]),
+    ];
+    for (name, bytes, parts) in cases {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let error = open(&path.display().to_string(), &[]).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        println!("{error}");
+        assert_says(&error.to_string().replace(name, "small.toml"), parts);
     }
 }

@@ -5,14 +5,14 @@ mod common;
 mod flow;
 
 use clap::Parser;
-use common::{conclude, say, say_json};
+use common::{conclude, say, say_json, warn};
 use flow::{in_dimension, progress};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use whirls::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
 use whirls::recording::Recording;
-use whirls::run::{EvaluationFiles, truth_from_recording, write_evaluation};
+use whirls::run::{EvaluationFiles, Origin, admit, must_be_trained, write_evaluation};
 use whirls::trade::settle;
 use whirls::{Error, Flow, Result, Scene};
 
@@ -24,26 +24,32 @@ struct Arguments {
     /// Recordings that `train` wrote, one per model.
     #[arg(required = true, value_name = "LEARNED.mcap")]
     learned: Vec<PathBuf>,
-    /// The truth: a scene, a .toml file, or recorded particles (.mcap) [default: the first model's scene].
+    /// The truth: a scene, a .toml file, or recorded particles (.mcap) [default: what the models were learned from:
+    /// the first one's scene, or the recorded particles].
     #[arg(long, value_name = "SCENE|FILE")]
     truth: Option<String>,
+    /// Take recorded particles even where they do not fit themselves or the models' scene.
+    #[arg(long)]
+    force: bool,
     /// Override a key of the truth's scene, as in --set forcing.theta=1 (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
     /// Steps to follow the flows [default: 200, with --quick 60].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     steps: Option<u64>,
-    /// Every how many steps a flow is looked at closely, and recorded.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
-    every: u64,
+    /// Every how many steps a flow is looked at closely, and recorded [default: 5].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    every: Option<u64>,
     /// Independent flows, of seeds counted up from the scene's [default: 3, with --quick 2].
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1000))]
     realisations: Option<u64>,
     /// Strengths of the stirring, as in --theta 0.25,1 [default: 0.1,0.2,0.4,0.8,1.6].
-    #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
+    #[arg(long, value_delimiter = ',', value_name = "NUMBERS", value_parser = finite)]
+    #[arg(allow_negative_numbers = true)]
     theta: Option<Vec<f64>>,
     /// Factors on the velocities of the start, which scale its Mach number [default: 0.25,0.5,1,2,3].
-    #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
+    #[arg(long, value_delimiter = ',', value_name = "NUMBERS", value_parser = positive)]
+    #[arg(allow_negative_numbers = true)]
     speed: Option<Vec<f64>>,
     /// A short look: 60 steps, two realisations, two strengths, two Mach numbers.
     #[arg(long)]
@@ -65,6 +71,19 @@ struct Arguments {
     json: bool,
 }
 
+/// A finite number.
+fn finite(text: &str) -> std::result::Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(x) if x.is_finite() => Ok(x),
+        _ => Err("expected a finite number".to_owned()),
+    }
+}
+
+/// A positive number.
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    finite(text).ok().filter(|x| *x > 0.0).ok_or_else(|| "expected a positive number".to_owned())
+}
+
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let threads = usize::from(arguments.threads.unwrap_or(0));
@@ -77,16 +96,10 @@ fn main() -> ExitCode {
 
 /// The scene of the truth, and where its particles are recorded, if they are.
 fn truth_of(arguments: &Arguments) -> Result<(Scene, Option<PathBuf>)> {
-    let first = || {
-        let path = &arguments.learned[0];
-        let recording = Recording::open(path)?;
-        let place = path.display().to_string();
-        Scene::parse(&recording.run().scene_toml, &place, &arguments.overrides)
-    };
     let (mut scene, recorded) = match &arguments.truth {
-        None => (first()?, None),
+        None => (scene_of_first(arguments)?, origin_of_all(&arguments.learned)?),
         Some(name) if Path::new(name).extension().is_some_and(|e| e == "mcap") => {
-            (first()?, Some(PathBuf::from(name)))
+            (scene_of_first(arguments)?, Some(PathBuf::from(name)))
         }
         Some(name) => (Scene::open(name, &arguments.overrides)?, None),
     };
@@ -94,10 +107,40 @@ fn truth_of(arguments: &Arguments) -> Result<(Scene, Option<PathBuf>)> {
     Ok((scene, recorded))
 }
 
+/// The scene of the first model.
+fn scene_of_first(arguments: &Arguments) -> Result<Scene> {
+    let path = &arguments.learned[0];
+    let recording = Recording::open(path)?;
+    must_be_trained(path, &recording)?;
+    let place = path.display().to_string();
+    Scene::parse(&recording.run().scene_toml, &place, &arguments.overrides)
+}
+
+/// The recording that all models were learned from; none where all were learned from flows of their scenes.
+fn origin_of_all(learned: &[PathBuf]) -> Result<Option<PathBuf>> {
+    let mut origins = Vec::new();
+    for path in learned {
+        let origin = Origin::recorded(&Recording::open(path)?);
+        origin.iter().try_for_each(|origin| origin.must_be_there(path))?;
+        origins.push(origin);
+    }
+    let digest = |origin: &Option<Origin>| origin.as_ref().map(|origin| origin.digest.clone());
+    if let Some(k) = origins.iter().position(|origin| digest(origin) != digest(&origins[0])) {
+        let name = |origin: &Option<Origin>| match origin {
+            Some(origin) => origin.path.display().to_string(),
+            None => "a flow of its scene".to_owned(),
+        };
+        let expected = format!("models learned from one truth, {}", name(&origins[0]));
+        let remedy = "say with --truth what all are to be compared with";
+        return Err(Error::input(learned[k].display(), expected, name(&origins[k]), remedy));
+    }
+    Ok(origins.swap_remove(0).map(|origin| origin.path))
+}
+
 fn plan(arguments: &Arguments, trained: usize) -> Plan {
     let mut plan = if arguments.quick { Plan::quick(trained) } else { Plan::new(trained) };
     plan.marks.steps = arguments.steps.unwrap_or(plan.marks.steps);
-    plan.marks.every = arguments.every;
+    plan.marks.every = arguments.every.unwrap_or(plan.marks.every);
     plan.realisations = arguments.realisations.unwrap_or(plan.realisations);
     plan.strengths = arguments.theta.clone().unwrap_or(plan.strengths);
     plan.speeds = arguments.speed.clone().unwrap_or(plan.speeds);
@@ -113,34 +156,44 @@ fn run<const D: usize>(
     let scene = &choice.scene;
     let mut candidates = Vec::new();
     for path in &arguments.learned {
+        must_be_trained(path, &Recording::open(path)?)?;
         candidates.push(Candidate::open::<D>(path)?);
     }
     Candidate::name_apart(&mut candidates, &arguments.learned);
     let trained = candidates[0].learn()?.frames;
-    let plan = plan(arguments, trained);
+    let mut plan = plan(arguments, trained);
+    if let Some(every) = arguments.every.filter(|every| *every > plan.marks.steps) {
+        let expected = format!("at most {}, the steps that are followed", plan.marks.steps);
+        return Err(Error::input("--every", expected, every, "look more often"));
+    }
     let source = match recorded {
         None => Source::Scene,
-        Some(path) => Source::Recorded(pieces::<D>(path, scene, &plan)?),
+        Some(path) => Source::Recorded(pieces::<D>(path, (arguments, scene), &mut plan)?),
     };
     let bar = progress(plan.work(candidates.len()), "evaluate");
     let evaluation = evaluate::<D>((scene, source), candidates, plan, &mut || bar.inc(1));
     bar.finish_and_clear();
     let evaluation = evaluation?;
-    let facts = facts(arguments, scene);
+    let facts = facts(arguments, (scene, recorded));
     let record = !arguments.no_record;
     let files = write_evaluation(&evaluation, facts, (&arguments.out, record))?;
     describe(&files);
     if arguments.json { say_json(&summary(&evaluation, &files)) } else { Ok(()) }
 }
 
-/// Consecutive pieces of a recorded flow.
+/// Consecutive pieces of a recorded flow: as long as is asked for or, where no length is, as the recording allows.
 fn pieces<const D: usize>(
     path: &Path,
-    scene: &Scene,
-    plan: &Plan,
+    (arguments, scene): (&Arguments, &Scene),
+    plan: &mut Plan,
 ) -> Result<Vec<whirls::truth::Truth<D>>> {
     let recording = Recording::open(path)?;
     let frames = recording.frame_count(whirls::recording::Flow::Truth);
+    if arguments.steps.is_none() {
+        plan.marks.steps = plan.marks.steps.min(frames.saturating_sub(1) as u64 / 2).max(1);
+        plan.marks.every = plan.marks.every.min(plan.marks.steps);
+        plan.horizons = plan.horizons.map(|horizon| horizon.min(plan.marks.steps as usize));
+    }
     let steps = plan.marks.steps as usize;
     let count = (frames.saturating_sub(1) / steps).min(plan.realisations as usize);
     if count < 2 {
@@ -151,13 +204,30 @@ fn pieces<const D: usize>(
             "ask for fewer --steps, or record a longer flow",
         ));
     }
-    (0..count).map(|k| truth_from_recording(&recording, scene, (k * steps, steps))).collect()
+    let (mut truths, mut said) = (Vec::new(), Vec::new());
+    for k in 0..count {
+        let part = (k * steps, steps);
+        let admitted = admit(&recording, scene, part, arguments.force)?;
+        for text in admitted.warnings {
+            if !said.contains(&text) {
+                warn(&text);
+                said.push(text);
+            }
+        }
+        truths.push(admitted.truth);
+    }
+    say(format!("truth: {count} pieces of {steps} steps of {}", path.display()));
+    Ok(truths)
 }
 
 /// How to repeat it.
-fn facts(arguments: &Arguments, scene: &Scene) -> Vec<(String, String)> {
+fn facts(
+    arguments: &Arguments,
+    (scene, recorded): (&Scene, Option<&Path>),
+) -> Vec<(String, String)> {
     let command: Vec<String> = std::env::args().skip(1).collect();
-    let truth = arguments.truth.clone().unwrap_or_else(|| scene.name.clone());
+    let own = || recorded.map_or_else(|| scene.name.clone(), |path| path.display().to_string());
+    let truth = arguments.truth.clone().unwrap_or_else(own);
     let chosen = scene.chosen.map(|chosen| ("chosen".to_owned(), chosen.to_string()));
     let facts = [
         ("command".to_owned(), format!("evaluate {}", command.join(" "))),

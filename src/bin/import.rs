@@ -1,39 +1,52 @@
-//! `import`: makes a recording of arrays that another program computed or measured.
+//! `import`: makes a recording of arrays, or of point clouds, that another program computed or measured.
 
 mod common;
 
 use clap::Parser;
-use common::{conclude, say, say_json};
-use serde::Serialize;
+use common::{conclude, say, say_json, warn};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use whirls::arrays::Array;
-use whirls::recording::{Flow, Frame, Recorder, RunInfo};
+use whirls::kernel::KernelChoice;
+use whirls::run::{Import, Imported, Origins};
 use whirls::{Error, Result};
 
-/// Makes a recording of .npy arrays [frames, particles, dimension], to learn from with
-/// `train SCENE --truth FILE.mcap`.
+/// Makes a recording of .npy arrays [frames, particles, dimension], or of point clouds in an MCAP file, to learn from
+/// with `train SCENE --truth FILE.mcap`.
 #[derive(Parser)]
 #[command(name = "import", version)]
 struct Arguments {
     /// Positions, [frames, particles, 2 or 3], f32 or f64, C or Fortran order.
-    #[arg(long, value_name = "r.npy")]
-    positions: PathBuf,
+    #[arg(long, value_name = "r.npy", required_unless_present = "mcap", requires = "velocities")]
+    positions: Option<PathBuf>,
     /// Velocities, of the same shape.
-    #[arg(long, value_name = "v.npy")]
-    velocities: PathBuf,
-    /// Densities, [frames, particles]; 1 where they are not given.
-    #[arg(long, value_name = "rho.npy")]
+    #[arg(long, value_name = "v.npy", requires = "positions")]
+    velocities: Option<PathBuf>,
+    /// Densities, [frames, particles]; where they are not given they are summed with --smoothing-length or, without it,
+    /// left out: `train` then sums them in its scene's kernel.
+    #[arg(long, value_name = "rho.npy", requires = "positions")]
     densities: Option<PathBuf>,
-    /// Time between frames.
-    #[arg(long)]
-    dt: f64,
+    /// Instead of arrays: foxglove.PointCloud messages with fields x y z vx vy vz, perhaps rho and id, in FLOAT32 or
+    /// FLOAT64.
+    #[arg(long, value_name = "FILE.mcap", conflicts_with = "positions")]
+    mcap: Option<PathBuf>,
+    /// The topic of those messages [default: the only one].
+    #[arg(long, value_name = "TOPIC", requires = "mcap")]
+    topic: Option<String>,
+    /// Time between frames; with --mcap by default that of the timestamps.
+    #[arg(long, required_unless_present = "mcap", allow_negative_numbers = true)]
+    dt: Option<f64>,
     /// Side of the periodic box [default: 2π].
-    #[arg(long = "box", default_value_t = std::f64::consts::TAU)]
+    #[arg(long = "box", default_value_t = std::f64::consts::TAU, allow_negative_numbers = true)]
     box_length: f64,
-    /// Smoothing length of the flow, kept with the recording.
-    #[arg(long)]
+    /// Smoothing length of the flow, kept with the recording and held against the scene's.
+    #[arg(long, allow_negative_numbers = true)]
     smoothing_length: Option<f64>,
+    /// Kernel of the flow, by its name in scenes.
+    #[arg(long, default_value = "cubic-spline", requires = "smoothing_length")]
+    kernel: String,
+    /// Import what contradicts itself: data that do not move by v dt, that leave the box empty, …
+    #[arg(long)]
+    force: bool,
     /// The recording to write.
     #[arg(long, value_name = "truth.mcap")]
     out: PathBuf,
@@ -42,85 +55,58 @@ struct Arguments {
     json: bool,
 }
 
-#[derive(Serialize)]
-struct Report {
-    frames: usize,
-    particles: usize,
-    dimension: usize,
-    dt: f64,
-    recording: PathBuf,
-}
-
 fn main() -> ExitCode {
-    conclude(import(&Arguments::parse()))
+    conclude(import(Arguments::parse()))
 }
 
-fn import(arguments: &Arguments) -> Result<()> {
-    for (name, value) in [("--dt", arguments.dt), ("--box", arguments.box_length)] {
-        if value.is_nan() || value <= 0.0 || value.is_infinite() {
-            return Err(Error::input(name, "a positive number", value, "give it in box units"));
-        }
-    }
-    let positions = Array::open(&arguments.positions, 3)?;
-    let velocities = Array::open(&arguments.velocities, 3)?;
-    velocities.must_have(&positions.shape, arguments.velocities.display())?;
-    let [frames, particles, dimension] = [0, 1, 2].map(|k| positions.shape[k]);
-    if !matches!(dimension, 2 | 3) {
-        let place = arguments.positions.display();
-        return Err(Error::input(place, "a last axis of 2 or 3", dimension, "transpose the array"));
-    }
-    let densities = match &arguments.densities {
-        Some(path) => {
-            let densities = Array::open(path, 2)?;
-            densities.must_have(&positions.shape[..2], path.display())?;
-            Some(densities)
-        }
-        None => None,
+fn import(arguments: Arguments) -> Result<()> {
+    let json = arguments.json;
+    let imported = import_of(arguments)?.run()?;
+    imported.warnings.iter().for_each(|text| warn(text));
+    describe(&imported);
+    if json { say_json(&imported) } else { Ok(()) }
+}
+
+fn import_of(arguments: Arguments) -> Result<Import> {
+    let Some(kernel) = KernelChoice::named(&arguments.kernel) else {
+        let names = whirls::kernel::NAMES.join(", ");
+        let remedy = "name one of them";
+        return Err(Error::input("--kernel", format!("one of {names}"), arguments.kernel, remedy));
     };
-    let mut recorder =
-        Recorder::create(&arguments.out, &run_info(arguments, &velocities, dimension))?;
-    for k in 0..frames {
-        let vector = |array: &Array, i: usize| {
-            std::array::from_fn(|axis| if axis < dimension { array.at(&[k, i, axis]) } else { 0.0 })
-        };
-        let wrapped = |r: [f64; 3]| r.map(|x| x.rem_euclid(arguments.box_length));
-        recorder.frame(
-            Flow::Truth,
-            Frame {
-                step: k as u64,
-                time: k as f64 * arguments.dt,
-                positions: (0..particles).map(|i| wrapped(vector(&positions, i))).collect(),
-                velocities: (0..particles).map(|i| vector(&velocities, i)).collect(),
-                densities: (0..particles)
-                    .map(|i| densities.as_ref().map_or(1.0, |rho| rho.at(&[k, i])))
-                    .collect(),
-            },
-        )?;
-    }
-    recorder.finish()?;
-    let (dt, recording) = (arguments.dt, arguments.out.clone());
-    let report = Report { frames, particles, dimension, dt, recording };
+    let from = match (arguments.positions, arguments.velocities, arguments.mcap) {
+        (Some(positions), Some(velocities), _) => {
+            Origins::Arrays { positions, velocities, densities: arguments.densities }
+        }
+        (_, _, Some(file)) => Origins::Clouds { file, topic: arguments.topic },
+        _ => {
+            let expected = "--positions with --velocities, or --mcap";
+            return Err(Error::input("import", expected, "neither", "say what to import"));
+        }
+    };
+    Ok(Import {
+        from,
+        dt: arguments.dt,
+        box_length: arguments.box_length,
+        smoothing_length: arguments.smoothing_length,
+        kernel,
+        force: arguments.force,
+        out: arguments.out,
+    })
+}
+
+fn describe(imported: &Imported) {
+    let Imported { frames, particles, dimension, dt, .. } = imported;
     say(format!(
         "imported {frames} frames of {particles} particles in {dimension}D into {}",
-        arguments.out.display()
+        imported.recording.display()
     ));
-    if arguments.json { say_json(&report) } else { Ok(()) }
-}
-
-fn run_info(arguments: &Arguments, velocities: &Array, dimension: usize) -> RunInfo {
-    let square = velocities.values.iter().map(|v| v * v).sum::<f64>();
-    let typical = (square / velocities.values.len().max(1) as f64).sqrt();
-    let mut metadata =
-        vec![("command", "import".to_owned()), ("dt", format!("{:?}", arguments.dt))];
-    if let Some(h) = arguments.smoothing_length {
-        metadata.push(("smoothing_length", format!("{h:?}")));
-    }
-    RunInfo {
-        scene_toml: String::new(),
-        dimension,
-        box_length: arguments.box_length,
-        speed_scale: if typical > 0.0 { 2.0 * typical } else { 1.0 },
-        parameters: Vec::new(),
-        metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
-    }
+    let densities = match imported.densities {
+        "none" => "left out: train sums them in its scene's kernel",
+        "summed" => "summed in the kernel",
+        other => other,
+    };
+    say(format!(
+        "{dt:?} apart, moving as their velocities say to {:.1e}; densities {densities}",
+        imported.miss
+    ));
 }

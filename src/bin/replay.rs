@@ -96,7 +96,7 @@ fn describe(file: &Path) -> Result<Value> {
     };
     let particles = |flow: Flow| match recording.frame_count(flow) {
         0 => Ok(None),
-        _ => recording.frame(flow, 0).map(|frame| Some(frame.densities.len())),
+        _ => recording.frame(flow, 0).map(|frame| Some(frame.positions.len())),
     };
     let count = particles(Flow::Truth)?.or(particles(Flow::Learned)?);
     let last = recording.train_steps()?.pop();

@@ -7,21 +7,19 @@ mod flow;
 mod scene;
 
 use clap::Parser;
-use common::{conclude, say, say_json};
-use flow::{in_dimension, progress, warn};
+use common::{conclude, say, say_json, warn};
+use flow::{in_dimension, progress};
 use scene::{SceneArguments, describe_choice, explain};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use whirls::flow::State;
-use whirls::recording::{self, Recording};
-use whirls::run::{Requirements, begin_recording, run_info, run_recorded};
+use whirls::recording::{self, Level};
+use whirls::run::{Given, Requirements, admit_state, begin_recording, run_info, run_recorded};
 use whirls::scene::Chosen;
 use whirls::statistics::conservation;
 use whirls::trade::settle;
-use whirls::vector::Vector;
-use whirls::{Error, Flow, Result, Scene};
+use whirls::{Flow, Result, Scene};
 
 /// Runs the flow of a scene forward and records it.
 #[derive(Parser)]
@@ -36,8 +34,11 @@ struct Arguments {
     /// Which frame of that recording, from 0 [default: the last].
     #[arg(long, requires = "from")]
     frame: Option<usize>,
+    /// Go on from it even where it does not fit the scene.
+    #[arg(long, requires = "from")]
+    force: bool,
     /// Steps to run [default: the scene's].
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     steps: Option<u64>,
     /// Take the cheapest step that keeps particles within so many smoothing lengths of a much finer run,
     /// over twenty steps of the scene, as --set accuracy=LENGTHS; --explain shows what was tried.
@@ -81,9 +82,18 @@ fn main() -> ExitCode {
 }
 
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let start = |scene: &Scene| match &arguments.from {
+    let (given, warnings) = match &arguments.from {
+        None => (None, Vec::new()),
+        Some(path) => {
+            let given = Given { path, force: arguments.force };
+            let (state, warnings) = admit_state::<D>(given, scene, arguments.frame)?;
+            (Some(state), warnings)
+        }
+    };
+    warnings.iter().for_each(|text| warn(text));
+    let start = |scene: &Scene| match &given {
         None => Ok(Flow::<D>::new(scene)?.state()),
-        Some(path) => state_from(path, arguments.frame),
+        Some(state) => Ok(state.clone()),
     };
     let choice = settle(scene, start)?;
     describe_choice(&choice, arguments.common.explain);
@@ -102,6 +112,10 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         .as_ref()
         .map(|path| begin_recording(path, (&run_info(scene, "simulate"), scene), flow.time()))
         .transpose()?;
+    if let Some(recorder) = &mut recorder {
+        let log = |text| recorder.log(Level::Warning, flow.time(), text);
+        warnings.into_iter().try_for_each(log)?;
+    }
     // A flow that fails at once is reported, and recorded, by the run itself.
     let before = flow.start().ok().map(|()| conservation(&mut flow)).unwrap_or_default();
     if let Some(text) = flow.loneliness() {
@@ -152,27 +166,4 @@ fn describe(report: &Report) {
     if let Some(path) = &report.recording {
         say(format!("recorded in {}", path.display()));
     }
-}
-
-/// A state from a recording: learned particles where there are any, otherwise true ones.
-fn state_from<const D: usize>(path: &std::path::Path, frame: Option<usize>) -> Result<State<D>> {
-    let recording = Recording::open(path)?;
-    let learned = recording.frame_count(recording::Flow::Learned) > 0;
-    let topic = if learned { recording::Flow::Learned } else { recording::Flow::Truth };
-    let count = recording.frame_count(topic);
-    let k = frame.unwrap_or(count.saturating_sub(1));
-    if recording.run().dimension != D || k >= count {
-        return Err(Error::input(
-            path.display(),
-            format!("dimension {D} and a frame {k}"),
-            format!("dimension {} and {count} frames", recording.run().dimension),
-            "choose a scene of that dimension and a frame that is there",
-        ));
-    }
-    let frame = recording.frame(topic, k)?;
-    Ok(State {
-        time: frame.time,
-        positions: frame.positions.into_iter().map(Vector::from_3d).collect(),
-        velocities: frame.velocities.into_iter().map(Vector::from_3d).collect(),
-    })
 }

@@ -12,8 +12,8 @@ mod scene;
 
 use check::{check_coupling, check_gradient};
 use clap::Parser;
-use common::{conclude, say, say_json};
-use flow::{in_dimension, progress, warn};
+use common::{conclude, say, say_json, warn};
+use flow::{in_dimension, progress};
 use report::describe;
 use scene::{SceneArguments, describe_choice, explain};
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ use whirls::learn::Learner;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
 use whirls::run::{
-    Lesson, Progress, Requirements, Training, TrainingReport, earlier_guess, settle_training,
+    Given, Lesson, Progress, Requirements, Training, TrainingReport, earlier_guess, settle_training,
 };
 use whirls::{Error, Result, Scene};
 
@@ -37,6 +37,9 @@ struct Arguments {
     /// Learn from the true particles of a recording instead of a flow generated on the spot.
     #[arg(long, value_name = "FILE.mcap")]
     truth: Option<PathBuf>,
+    /// Take the recording of --truth even where it does not fit itself or the scene.
+    #[arg(long, requires = "truth")]
+    force: bool,
     /// Where to record [default: recordings/SCENE.mcap].
     #[arg(long, value_name = "PATH")]
     record: Option<PathBuf>,
@@ -79,9 +82,12 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
             "add --features viewer, or run `replay` on the recording",
         ));
     }
-    let choice = settle_training::<D>(scene, arguments.truth.as_deref())?;
+    let force = arguments.force;
+    let given = arguments.truth.as_deref().map(|path| Given { path, force });
+    let choice = settle_training::<D>(scene, given)?;
     let scene = &choice.scene;
-    let lesson = Lesson::<D>::new(scene, arguments.truth.as_deref())?;
+    let lesson = Lesson::<D>::new(scene, given)?;
+    lesson.warnings.iter().for_each(|text| warn(text));
     let mut learner = Learner::of_truth(scene, &lesson.truth)?;
     let guess = match &arguments.resume {
         None => learner.guess(scene.seed),

@@ -106,13 +106,14 @@ pub(super) fn place_laws<const D: usize>(
     }
 }
 
-/// Particles, with the columns of an adjoint where one is run: all at once, since whoever moves to another
+/// Particles, each at its place in the box, with the columns of an adjoint where one is run: all at once, since whoever moves to another
 /// table leaves its memory behind.
 pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>, adjoint: bool) {
     world.insert_resource(Particles(state.positions.len()));
     let rows = state.positions.iter().zip(&state.velocities).enumerate();
+    let space = world.resource::<Integrator>().space;
     let particle = |(id, (&r, &v)): (usize, _)| {
-        let moving = (Position(r), Velocity(v), Acceleration::<D>::default());
+        let moving = (Position(space.wrap(r)), Velocity(v), Acceleration::<D>::default());
         (Identity(id as u32), moving, Density::default())
     };
     if adjoint {

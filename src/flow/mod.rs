@@ -331,6 +331,7 @@ impl<const D: usize> Flow<D> {
     /// Puts the flow back to a state at step zero, with sensitivities and loss at zero: the same
     /// bits as a new flow from that state.
     pub fn reset(&mut self, state: &State<D>) {
+        let space = self.world.resource::<Integrator>().space;
         let mut rows =
             self.world
                 .query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
@@ -339,7 +340,7 @@ impl<const D: usize> Flow<D> {
             if let (Some(&start), Some(&speed)) =
                 (state.positions.get(row), state.velocities.get(row))
             {
-                (r.0, v.0, a.0) = (start, speed, Vector::zero());
+                (r.0, v.0, a.0) = (space.wrap(start), speed, Vector::zero());
             }
         }
         for term in &self.terms {

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 pub struct State<const D: usize> {
     /// Time.
     pub time: f64,
-    /// `r`, inside the box.
+    /// `r`; a flow takes each to its place inside the box.
     pub positions: Vec<Vector<f64, D>>,
     /// `v`.
     pub velocities: Vec<Vector<f64, D>>,

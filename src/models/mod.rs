@@ -57,6 +57,7 @@ use crate::packed::PackedAdjoint;
 use crate::pairs::{Batch, Hood};
 use crate::parameters::ParameterSpec;
 use crate::scalar::{Lanes, Wide};
+use crate::scene::nothing_beside;
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
@@ -102,7 +103,7 @@ macro_rules! hierarchy {
         pub enum ModelChoice {
             /// [`Physics`].
             #[default]
-            #[serde(rename = "physics")]
+            #[serde(rename = "physics", deserialize_with = "nothing_beside")]
             Physics,
             $($(#[$doc])* #[serde(rename = $kind)] $name($module::Options),)*
         }

@@ -3,7 +3,7 @@
 use prost::Message as _;
 
 use super::colour::colour;
-use super::messages::{NumericType, PointCloud};
+use super::messages::{NumericType, PackedElementField, PointCloud};
 use super::rows::{Particle, Title, write_row};
 use crate::{Error, Result};
 
@@ -21,7 +21,7 @@ pub struct Frame {
     pub positions: Vec<[f64; 3]>,
     /// Velocities, `[particles][3]`; the third is 0 in two dimensions.
     pub velocities: Vec<[f64; 3]>,
-    /// Densities, `[particles]`.
+    /// Densities, `[particles]`; empty where they are not known.
     pub densities: Vec<f64>,
 }
 
@@ -62,30 +62,38 @@ impl Frame {
                 "give every particle a velocity",
             ));
         }
-        one_per_position((topic, "rho"), &self.densities, count)?;
+        if !self.densities.is_empty() {
+            one_per_position((topic, "rho"), &self.densities, count)?;
+        }
         in_the_plane(topic, &self.positions, dimension)
     }
 
-    /// What is known of particle `k` of a frame whose columns are equally long.
+    /// What is known of particle `k` of a frame whose columns are equally long; a density that is not known is not
+    /// a number.
     pub(super) fn particle(&self, k: usize) -> Particle {
-        (self.positions[k], self.velocities[k], self.densities[k])
+        let rho = self.densities.get(k).copied().unwrap_or(f64::NAN);
+        (self.positions[k], self.velocities[k], rho)
     }
 
+    /// From a cloud with columns `vx`, `vy`, `vz` and, where densities are known, `rho`.
     pub(super) fn from_cloud(cloud: Cloud, place: &str) -> Result<Self> {
-        let column = |name: &str| {
+        let known = |name: &str| {
             let found = cloud.columns.iter().find(|column| column.name == name);
-            found.map(|column| column.values.as_slice()).ok_or_else(|| {
+            found.map(|column| column.values.as_slice())
+        };
+        let column = |name: &str| {
+            known(name).ok_or_else(|| {
                 let names: Vec<_> = cloud.columns.iter().map(|c| c.name.as_str()).collect();
                 Error::input(
                     place,
-                    format!("a FLOAT64 field `{name}`"),
+                    format!("a field `{name}` of FLOAT32 or FLOAT64"),
                     format!("fields x, y, z and {names:?}"),
-                    "give a recording that `train` or `simulate` wrote",
+                    "give a cloud with velocities vx, vy, vz",
                 )
             })
         };
         let (vx, vy, vz) = (column("vx")?, column("vy")?, column("vz")?);
-        let densities = column("rho")?.to_vec();
+        let densities = known("rho").unwrap_or_default().to_vec();
         let velocities = (0..vx.len()).map(|k| [vx[k], vy[k], vz[k]]).collect();
         let (step, time) = (cloud.step, cloud.time);
         Ok(Self { step, time, positions: cloud.positions, velocities, densities })
@@ -151,23 +159,96 @@ impl Cloud {
         });
     }
 
-    /// Reads an encoded `foxglove.PointCloud`: every FLOAT64 field, bit for bit.
-    pub(super) fn decode(bytes: &[u8], place: &str) -> Result<Self> {
+    /// Reads an encoded `foxglove.PointCloud`: every FLOAT32 and FLOAT64 field, bit for bit.
+    pub(super) fn decode(bytes: &[u8], place: &str) -> Result<Decoded> {
         let cloud = PointCloud::decode(bytes)
             .map_err(|error| Error::input(place, "a foxglove.PointCloud", error, super::DAMAGED))?;
         let rows = Rows::new(&cloud, place)?;
         let (x, y, z) = (rows.float("x")?, rows.float("y")?, rows.float("z")?);
-        let positions = (0..rows.count).map(|k| [rows.at(k, x), rows.at(k, y), rows.at(k, z)]);
+        let positions = (0..rows.count).map(|k| [x, y, z].map(|field| rows.at(k, field)));
         let positions = positions.collect();
-        let mut columns = Vec::new();
-        for field in &cloud.fields {
-            let position = ["x", "y", "z"].contains(&field.name.as_str());
-            if field.r#type() == NumericType::Float64 && !position {
-                let values = (0..rows.count).map(|k| rows.at(k, field.offset as usize)).collect();
-                columns.push(Column::new(field.name.clone(), values));
+        let (mut columns, mut identities) = (Vec::new(), None);
+        for packed in &cloud.fields {
+            let field = Field::of(packed);
+            let values = || (0..rows.count).map(|k| rows.at(k, field));
+            match packed.name.as_str() {
+                "x" | "y" | "z" => {}
+                "id" => identities = Some(values().collect()),
+                name if field.is_float() => columns.push(Column::new(name, values().collect())),
+                _ => {}
             }
         }
-        Ok(Self { step: cloud.simulation_step, time: cloud.simulation_time, positions, columns })
+        let (step, time) = (cloud.simulation_step, cloud.simulation_time);
+        let stamp =
+            cloud.timestamp.map(|t| i128::from(t.seconds) * 1_000_000_000 + i128::from(t.nanos));
+        let turned = cloud.pose.is_some_and(|pose| !pose.is_identity());
+        Ok(Decoded { cloud: Self { step, time, positions, columns }, identities, stamp, turned })
+    }
+}
+
+/// A cloud as it was read.
+#[derive(Debug)]
+pub(super) struct Decoded {
+    pub(super) cloud: Cloud,
+    /// The numbers of its field `id`, row by row, where it has one.
+    pub(super) identities: Option<Vec<f64>>,
+    /// Nanoseconds of its timestamp.
+    pub(super) stamp: Option<i128>,
+    /// Whether its pose moves or turns its points.
+    pub(super) turned: bool,
+}
+
+/// A frame with the numbers of its particles, in ascending order.
+pub(crate) struct Numbered {
+    pub(crate) frame: Frame,
+    pub(crate) identities: Vec<u64>,
+}
+
+impl Decoded {
+    /// The frame, its rows put into the order of the field `id`; the row is the particle's number where there is
+    /// no such field.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a number that is none, or that two particles have.
+    pub(super) fn into_numbered(self, place: &str) -> Result<Numbered> {
+        let count = self.cloud.positions.len();
+        let mut frame = Frame::from_cloud(self.cloud, place)?;
+        let Some(given) = self.identities else {
+            return Ok(Numbered { frame, identities: (0..count as u64).collect() });
+        };
+        let refuse = |row: usize, found: String| {
+            let expected = "an `id` of its own for each particle, a whole number";
+            let place = format!("{place}, row {row}");
+            Err(Error::input(
+                place,
+                expected,
+                found,
+                "number the particles, the same in every frame",
+            ))
+        };
+        if let Some(row) =
+            given.iter().position(|id| !(*id >= 0.0 && id.fract().abs() < f64::MIN_POSITIVE))
+        {
+            return refuse(row, given[row].to_string());
+        }
+        let identities: Vec<u64> = given.iter().map(|&id| id as u64).collect();
+        if identities.is_sorted_by(|a, b| a < b) {
+            return Ok(Numbered { frame, identities });
+        }
+        let mut order: Vec<usize> = (0..count).collect();
+        order.sort_by_key(|&row| identities[row]);
+        if let Some(pair) = order.windows(2).find(|pair| identities[pair[0]] == identities[pair[1]])
+        {
+            return refuse(
+                pair[1],
+                format!("{} a second time, first in row {}", identities[pair[0]], pair[0]),
+            );
+        }
+        frame.positions = order.iter().map(|&row| frame.positions[row]).collect();
+        frame.velocities = order.iter().map(|&row| frame.velocities[row]).collect();
+        frame.densities =
+            order.iter().filter_map(|&row| frame.densities.get(row).copied()).collect();
+        Ok(Numbered { frame, identities: order.iter().map(|&row| identities[row]).collect() })
     }
 }
 
@@ -215,32 +296,73 @@ impl<'a> Rows<'a> {
             let found = format!("{bytes} bytes in rows of {stride}");
             return refuse("a whole number of rows", found);
         }
-        let floats = cloud.fields.iter().filter(|field| field.r#type() == NumericType::Float64);
-        let ends = floats.clone().map(|field| field.offset as usize + 8).max();
-        if 8 * floats.count() > stride || ends.is_some_and(|end| end > stride) {
+        let fields = || cloud.fields.iter().map(Field::of).filter(|field| field.bytes() > 0);
+        let all: usize = fields().map(Field::bytes).sum();
+        if all > stride || fields().any(|field| field.offset + field.bytes() > stride) {
             let found = format!("{} fields in rows of {stride} bytes", cloud.fields.len());
             return refuse("fields that fit into a row", found);
         }
         Ok(Self { cloud, place, stride, count: bytes / stride })
     }
 
-    /// Byte offset of a FLOAT64 field in its row.
-    fn float(&self, name: &str) -> Result<usize> {
+    /// A floating-point field.
+    fn float(&self, name: &str) -> Result<Field> {
         let found = self.cloud.fields.iter().find(|field| field.name == name);
-        match found.map(|field| (field.r#type(), field.offset as usize)) {
-            Some((NumericType::Float64, offset)) => Ok(offset),
+        match found.map(Field::of) {
+            Some(field) if field.is_float() => Ok(field),
             other => Err(Error::input(
                 self.place,
-                format!("a FLOAT64 field `{name}`"),
-                other.map_or("no such field".into(), |(kind, _)| format!("{kind:?}")),
-                "give a recording that `train` or `simulate` wrote",
+                format!("a field `{name}` of FLOAT32 or FLOAT64"),
+                other.map_or("no such field".into(), |field| format!("{:?}", field.kind)),
+                "give a cloud with such a field",
             )),
         }
     }
 
-    fn at(&self, row: usize, offset: usize) -> f64 {
-        let from = row * self.stride + offset;
-        let bytes = self.cloud.data.get(from..from + 8).and_then(|bytes| bytes.try_into().ok());
-        bytes.map_or(f64::NAN, f64::from_le_bytes)
+    fn at(&self, row: usize, field: Field) -> f64 {
+        let from = row * self.stride + field.offset;
+        let bytes = self.cloud.data.get(from..from + field.bytes());
+        bytes.and_then(|bytes| field.number(bytes)).unwrap_or(f64::NAN)
+    }
+}
+
+/// Where a number stands in its row, and of which type it is.
+#[derive(Clone, Copy)]
+struct Field {
+    offset: usize,
+    kind: NumericType,
+}
+
+impl Field {
+    fn of(field: &PackedElementField) -> Self {
+        Self { offset: field.offset as usize, kind: field.r#type() }
+    }
+
+    fn is_float(self) -> bool {
+        matches!(self.kind, NumericType::Float32 | NumericType::Float64)
+    }
+
+    fn bytes(self) -> usize {
+        match self.kind {
+            NumericType::Unknown => 0,
+            NumericType::Uint8 | NumericType::Int8 => 1,
+            NumericType::Uint16 | NumericType::Int16 => 2,
+            NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
+            NumericType::Float64 => 8,
+        }
+    }
+
+    fn number(self, bytes: &[u8]) -> Option<f64> {
+        Some(match self.kind {
+            NumericType::Unknown => return None,
+            NumericType::Uint8 => f64::from(*bytes.first()?),
+            NumericType::Int8 => f64::from(*bytes.first()? as i8),
+            NumericType::Uint16 => f64::from(u16::from_le_bytes(bytes.try_into().ok()?)),
+            NumericType::Int16 => f64::from(i16::from_le_bytes(bytes.try_into().ok()?)),
+            NumericType::Uint32 => f64::from(u32::from_le_bytes(bytes.try_into().ok()?)),
+            NumericType::Int32 => f64::from(i32::from_le_bytes(bytes.try_into().ok()?)),
+            NumericType::Float32 => f64::from(f32::from_le_bytes(bytes.try_into().ok()?)),
+            NumericType::Float64 => f64::from_le_bytes(bytes.try_into().ok()?),
+        })
     }
 }

@@ -113,6 +113,13 @@ pub(super) struct Pose {
 }
 
 impl Pose {
+    /// Whether it leaves points where they are; what is left out moves nothing.
+    pub(super) fn is_identity(&self) -> bool {
+        let still = self.position.is_none_or(|p| p == Vector3::default());
+        let turn = self.orientation.map(|q| [q.x, q.y, q.z]);
+        still && turn.is_none_or(|axis| axis.iter().all(|x| x.abs() < f64::MIN_POSITIVE))
+    }
+
     /// No shift, no turn.
     pub(super) fn identity() -> Self {
         Self { position: Some(Vector3::default()), orientation: Some(Quaternion::identity()) }

@@ -13,8 +13,9 @@
 //! | `/tf` | `foxglove.FrameTransforms` (`tf#/` → `world`) | 0 | [`Recorder::create`] |
 //!
 //! The metadata record `whirls.run` is [`RunInfo`]; the scene is an attachment, too. A row of a particle
-//! cloud is x y z vx vy vz rho (FLOAT64), id (UINT32), red green blue alpha (UINT8): 64 bytes. Such a
-//! file opens as it is in Rerun (0.36 and later) and in Foxglove.
+//! cloud is x y z vx vy vz rho (FLOAT64), id (UINT32), red green blue alpha (UINT8): 64 bytes. A
+//! row without a density, 56 bytes, is one of a flow whose densities are not known. Rows are read in the order of
+//! their ids. Such a file opens as it is in Rerun (0.36 and later) and in Foxglove.
 //!
 //! A particle message has a chunk of its own, so one frame can be read without its neighbours and
 //! numbers without any frame. Times are simulation times or counters, never the wall clock: equal
@@ -25,6 +26,7 @@ mod cloud;
 mod colour;
 #[cfg(feature = "viewer")]
 pub mod dashboard;
+mod foreign;
 mod messages;
 mod reader;
 mod recorder;
@@ -34,10 +36,13 @@ mod run_info;
 mod schemas;
 mod sink;
 mod source;
+mod walk;
 mod wire;
 
+pub(crate) use cloud::Numbered;
 pub use cloud::{Cloud, Column, Frame};
 pub use colour::colour;
+pub use foreign::Clouds;
 pub use messages::{Conservation, Level, TrainStep, Values};
 pub use reader::{LogLine, Recording};
 pub use recorder::Recorder;

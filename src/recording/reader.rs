@@ -5,6 +5,7 @@ use std::path::Path;
 
 use prost::Message;
 
+use super::cloud::{Decoded, Numbered};
 use super::messages::{Conservation, Level, Log, Scene, TrainStep, Values};
 use super::schemas::Schema;
 use super::source::Source;
@@ -31,14 +32,6 @@ pub struct LogLine {
     pub level: Level,
     /// What it says.
     pub text: String,
-}
-
-/// Where one message is: in which chunk, and which of its channel's messages there.
-struct Address {
-    chunk: usize,
-    channel: u16,
-    ordinal: usize,
-    log_time: u64,
 }
 
 impl Recording {
@@ -72,13 +65,7 @@ impl Recording {
 
     /// How many messages each topic has; topics without any are left out.
     pub fn counts(&self) -> BTreeMap<String, u64> {
-        let mut counts = BTreeMap::new();
-        for (channel, times) in self.source.chunks.iter().flat_map(|chunk| &chunk.times) {
-            if let Some(channel) = self.source.channels.get(channel) {
-                *counts.entry(channel.topic.clone()).or_insert(0) += times.len() as u64;
-            }
-        }
-        counts
+        self.source.counts()
     }
 
     /// The topics that carry particles, the two flows included.
@@ -92,19 +79,12 @@ impl Recording {
     }
 
     fn topics_of(&self, schema: Schema) -> Vec<String> {
-        let has_schema = |topic: &str| {
-            let mut channels = self.source.channels.values();
-            channels.find(|channel| channel.topic == topic).is_some_and(|channel| {
-                let found = self.source.schemas.get(&channel.schema);
-                found.is_some_and(|found| found.name == schema.name())
-            })
-        };
-        self.counts().into_keys().filter(|topic| has_schema(topic)).collect()
+        self.source.topics_of(schema.name())
     }
 
     /// How many frames a flow has.
     pub fn frame_count(&self, flow: Flow) -> usize {
-        self.addresses(flow.topic()).len()
+        self.source.addresses(flow.topic()).len()
     }
 
     /// Simulation times of a flow's frames, to the nanosecond; [`Frame::time`] is exact.
@@ -112,18 +92,24 @@ impl Recording {
         self.cloud_times(flow.topic())
     }
 
-    /// Frame `k` of a flow, in the order of writing.
+    /// Frame `k` of a flow, in the order of writing; its rows are in the order of the particles' numbers, the field
+    /// `id`.
     ///
     /// # Errors
     /// [`Error::Input`] if there is no such frame or its chunk is damaged.
     pub fn frame(&self, flow: Flow, k: usize) -> Result<Frame> {
-        let cloud = self.cloud(flow.topic(), k)?;
-        Frame::from_cloud(cloud, &format!("{}, {}", self.place, flow.topic()))
+        Ok(self.numbered(flow, k)?.frame)
+    }
+
+    /// The same, with the numbers of its particles.
+    pub(crate) fn numbered(&self, flow: Flow, k: usize) -> Result<Numbered> {
+        let place = format!("{}, {}, message {k}", self.place, flow.topic());
+        self.decoded(flow.topic(), k)?.into_numbered(&place)
     }
 
     /// Simulation times of a topic's clouds, to the nanosecond; [`Cloud::time`] is exact.
     pub fn cloud_times(&self, topic: &str) -> Vec<f64> {
-        let addresses = self.addresses(topic);
+        let addresses = self.source.addresses(topic);
         addresses.iter().map(|address| clock::seconds(address.log_time)).collect()
     }
 
@@ -132,21 +118,12 @@ impl Recording {
     /// # Errors
     /// [`Error::Input`] if there is no such cloud or its chunk is damaged.
     pub fn cloud(&self, topic: &str, k: usize) -> Result<Cloud> {
-        let addresses = self.addresses(topic);
+        Ok(self.decoded(topic, k)?.cloud)
+    }
+
+    fn decoded(&self, topic: &str, k: usize) -> Result<Decoded> {
         let place = format!("{}, {topic}, message {k}", self.place);
-        let Some(address) = addresses.get(k) else {
-            let expected = format!("one of {} messages, counted from 0", addresses.len());
-            let remedy = "ask for one that was recorded";
-            return Err(Error::input(place, expected, format!("message {k}"), remedy));
-        };
-        let (mut met, mut found) = (0, None);
-        self.source.messages(&self.source.chunks[address.chunk], address.channel, |data| {
-            if met == address.ordinal {
-                found = Some(Cloud::decode(data, &place));
-            }
-            met += 1;
-        })?;
-        found.unwrap_or_else(|| Err(Error::input(&place, "a message", "none", DAMAGED)))
+        self.source.read((topic, k), &place, |data| Cloud::decode(data, &place))
     }
 
     /// All iterations of learning.
@@ -183,20 +160,6 @@ impl Recording {
             |log: Log| LogLine { time: log.simulation_time, level: log.level(), text: log.message };
         Ok(lines.into_iter().map(line).collect())
     }
-
-    fn addresses(&self, topic: &str) -> Vec<Address> {
-        let mut found = Vec::new();
-        for (chunk, entry) in self.source.chunks.iter().enumerate() {
-            for (&channel, times) in &entry.times {
-                if self.source.channels.get(&channel).is_some_and(|known| known.topic == topic) {
-                    let address =
-                        |(ordinal, &log_time)| Address { chunk, channel, ordinal, log_time };
-                    found.extend(times.iter().enumerate().map(address));
-                }
-            }
-        }
-        found
-    }
 }
 
 /// The scene's text; empty if the file was cut before it.
@@ -209,8 +172,8 @@ pub(super) fn no_metadata(place: &str) -> Error {
     Error::input(
         place,
         "a recording of whirls, with metadata whirls.run",
-        "an MCAP file without it",
-        "give a file that `train` or `simulate` recorded",
+        "an MCAP file of another program",
+        "make a recording of its point clouds: `import --mcap FILE.mcap --topic TOPIC --out truth.mcap`",
     )
 }
 

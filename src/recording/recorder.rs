@@ -17,6 +17,12 @@ use crate::{Error, Result};
 /// How many messages may wait for the disk before the run waits for it.
 const QUEUE: usize = 8;
 
+/// The columns of a flow's particles.
+const WITH_RHO: &[&str] = &["vx", "vy", "vz", "rho"];
+
+/// Those of a flow whose densities are not known.
+const WITHOUT_RHO: &[&str] = &["vx", "vy", "vz"];
+
 /// The largest cloud, in bytes: readers refuse a larger chunk.
 const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 
@@ -135,8 +141,9 @@ impl Recorder {
 
     fn order_frame(&mut self, topic: &str, frame: Frame) -> Result<()> {
         frame.check(topic, self.dimension)?;
-        let count = frame.positions.len();
-        self.order_rows(topic, (frame.step, frame.time), count, |k| frame.particle(k))
+        let (count, now) = (frame.positions.len(), (frame.step, frame.time));
+        let columns = if frame.densities.is_empty() { WITHOUT_RHO } else { WITH_RHO };
+        self.order_rows((topic, columns), now, count, |k| frame.particle(k))
     }
 
     /// Records `count` particles of a flow, coloured by speed; `particle(k)` is asked for on any thread.
@@ -150,17 +157,17 @@ impl Recorder {
         count: usize,
         particle: impl Fn(usize) -> Particle + Sync,
     ) -> Result<()> {
-        self.order_rows(flow.topic(), now, count, particle)
+        self.order_rows((flow.topic(), WITH_RHO), now, count, particle)
     }
 
     fn order_rows(
         &mut self,
-        topic: &str,
+        (topic, columns): (&str, &[&str]),
         (step, time): (u64, f64),
         count: usize,
         particle: impl Fn(usize) -> Particle + Sync,
     ) -> Result<()> {
-        let title = Title { step, time, columns: &["vx", "vy", "vz", "rho"] };
+        let title = Title { step, time, columns };
         must_fit(topic, &title, count)?;
         let (mut message, per_speed) = (self.room(), self.per_speed);
         let palette = &self.palette;
@@ -168,6 +175,7 @@ impl Recorder {
             let ([x, y, z], [vx, vy, vz], rho) = particle(k);
             let speed = (vx * vx + vy * vy + vz * vz).sqrt();
             let colour = palette.colour(per_speed * speed);
+            // A row without a density ends before it.
             write_row((k, row), [x, y, z, vx, vy, vz, rho], colour);
         });
         self.order_cloud(topic, &title, message)

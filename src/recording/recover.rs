@@ -31,8 +31,9 @@ pub struct Recovered {
 /// the output appears under its name only when it is complete.
 ///
 /// # Errors
-/// [`Error::File`] if a file cannot be read or written; [`Error::Input`] if the input is not a
-/// recording, or input and output are the same file.
+/// [`Error::File`] if a file cannot be read or written, or holds no whole frame; [`Error::Input`] if the input is not a
+/// recording, or input and output are the same file. Where no frame of particles is whole nothing is written, and
+/// the error is one of a run that failed.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     if std::fs::canonicalize(output).is_ok_and(|to| std::fs::canonicalize(input).ok() == Some(to)) {
         return Err(Error::input(
@@ -50,10 +51,30 @@ pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     let unfinished = unfinished_name(output);
     let mut sink = Sink::create(&unfinished, record, &scene)?;
     sink.begin(&scene)?;
-    copy.chunks(&source, &mut sink)?;
-    let Summary { messages, bytes } = sink.finish()?;
+    let copied = copy.chunks(&source, &mut sink);
+    let finished = sink.finish();
+    let kept = copied.and(finished).and_then(|summary| match copy.frames {
+        0 => Err(nothing(input, source.chunks.len(), copy.lost)),
+        _ => Ok(summary),
+    });
+    if kept.is_err() {
+        // The reason is in the error; a file that cannot be taken away is no other one.
+        let _ = std::fs::remove_file(&unfinished);
+    }
+    let Summary { messages, bytes } = kept?;
     std::fs::rename(&unfinished, output).map_err(|error| Error::write(output, error))?;
     Ok(Recovered { messages, chunks: source.chunks.len() as u64, chunks_lost: copy.lost, bytes })
+}
+
+/// Nothing was found to recover.
+fn nothing(input: &Path, chunks: usize, lost: u64) -> Error {
+    let found = format!("no frame in {chunks} chunks, of which {lost} are damaged");
+    Error::File {
+        action: "recover",
+        path: input.to_owned(),
+        source: std::io::Error::other(found),
+        remedy: "nothing was written; run what recorded it again",
+    }
 }
 
 /// The name of the output while it is written.
@@ -69,6 +90,8 @@ struct Copy {
     channels: BTreeMap<u16, ChannelRecord>,
     schemas: BTreeMap<u16, SchemaRecord>,
     lost: u64,
+    /// Clouds of particles that were copied.
+    frames: u64,
 }
 
 impl Copy {
@@ -92,13 +115,15 @@ impl Copy {
     /// Copies all messages but those with which every recording begins.
     fn chunks(&mut self, source: &Source, sink: &mut Sink) -> Result<()> {
         for chunk in &source.chunks {
-            let mut written = Ok(());
+            let (mut written, mut frames) = (Ok(()), 0);
             let read = source.records(chunk, |code, body| {
                 if let (Some(message), Ok(())) = (self.meet(code, body)?, &written) {
+                    frames += u64::from(message.1.name == Schema::PointCloud.name());
                     written = write(sink, message);
                 }
                 Some(())
             });
+            self.frames += frames;
             written?;
             match read {
                 Err(Error::Input { .. }) => self.lost += 1,

@@ -6,12 +6,13 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::walk::Walk;
 use super::wire::{
     Bytes, ChannelRecord, ChunkHead, HEAD, MAGIC, MessageRecord, SchemaRecord, message_index,
     opcode,
@@ -34,6 +35,14 @@ pub(super) struct Chunk {
     pub(super) times: BTreeMap<u16, Vec<u64>>,
 }
 
+/// Where one message is: in which chunk, and which of its channel's messages there.
+pub(super) struct Address {
+    chunk: usize,
+    channel: u16,
+    ordinal: usize,
+    pub(super) log_time: u64,
+}
+
 /// An MCAP file being read.
 #[derive(Debug)]
 pub(super) struct Source {
@@ -53,10 +62,7 @@ impl Source {
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file.
     pub(super) fn open(path: &Path) -> Result<Self> {
         let failed = |error| Error::read(path, error);
-        let mut file = File::open(path).map_err(failed)?;
-        let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
-        file.rewind().map_err(failed)?;
-        let mut walk = Walk { file: BufReader::new(file), path, at: 0, length };
+        let mut walk = Walk::open(path)?;
         walk.begin()?;
         let mut source = Self {
             path: path.to_owned(),
@@ -90,7 +96,7 @@ impl Source {
                 format!("{}, byte {}", self.path.display(), walk.at),
                 "messages in chunks",
                 "a message outside any chunk",
-                "give a recording as whirls wrote it",
+                "write it again in chunks, for instance with `mcap filter IN.mcap -o OUT.mcap`",
             )),
             opcode::MESSAGE_INDEX | opcode::METADATA | opcode::SCHEMA | opcode::CHANNEL => {
                 let place = walk.at;
@@ -169,6 +175,69 @@ impl Source {
         Ok(())
     }
 
+    /// How many messages each topic has; topics without any are left out.
+    pub(super) fn counts(&self) -> BTreeMap<String, u64> {
+        let mut counts = BTreeMap::new();
+        for (channel, times) in self.chunks.iter().flat_map(|chunk| &chunk.times) {
+            if let Some(channel) = self.channels.get(channel) {
+                *counts.entry(channel.topic.clone()).or_insert(0) += times.len() as u64;
+            }
+        }
+        counts
+    }
+
+    /// The topics with messages of a schema.
+    pub(super) fn topics_of(&self, schema: &str) -> Vec<String> {
+        let has_schema = |topic: &str| {
+            let mut channels = self.channels.values();
+            channels.find(|channel| channel.topic == topic).is_some_and(|channel| {
+                self.schemas.get(&channel.schema).is_some_and(|found| found.name == schema)
+            })
+        };
+        self.counts().into_keys().filter(|topic| has_schema(topic)).collect()
+    }
+
+    /// Where the messages of a topic are, in the order of writing.
+    pub(super) fn addresses(&self, topic: &str) -> Vec<Address> {
+        let mut found = Vec::new();
+        for (chunk, entry) in self.chunks.iter().enumerate() {
+            for (&channel, times) in &entry.times {
+                if self.channels.get(&channel).is_some_and(|known| known.topic == topic) {
+                    let address =
+                        |(ordinal, &log_time)| Address { chunk, channel, ordinal, log_time };
+                    found.extend(times.iter().enumerate().map(address));
+                }
+            }
+        }
+        found
+    }
+
+    /// What `decode` makes of message `k` of a topic; `place` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if there is no such message or its chunk is damaged, and those of `decode`.
+    pub(super) fn read<T>(
+        &self,
+        (topic, k): (&str, usize),
+        place: &str,
+        decode: impl Fn(&[u8]) -> Result<T>,
+    ) -> Result<T> {
+        let addresses = self.addresses(topic);
+        let Some(address) = addresses.get(k) else {
+            let expected = format!("one of {} messages, counted from 0", addresses.len());
+            let remedy = "ask for one that was recorded";
+            return Err(Error::input(place, expected, format!("message {k}"), remedy));
+        };
+        let (mut met, mut found) = (0, None);
+        self.messages(&self.chunks[address.chunk], address.channel, |data| {
+            if met == address.ordinal {
+                found = Some(decode(data));
+            }
+            met += 1;
+        })?;
+        found.unwrap_or_else(|| Err(Error::input(place, "a message", "none", DAMAGED)))
+    }
+
     /// Calls `each` with the data of every message of a channel in a chunk.
     pub(super) fn messages(
         &self,
@@ -200,6 +269,7 @@ impl Source {
         let bytes = self.load(chunk)?;
         let body = bytes.get(HEAD..).unwrap_or_default();
         let head = ChunkHead::parse(body).ok_or_else(|| self.malformed(chunk.offset))?;
+        self.must_unpack(&head, chunk.offset)?;
         let claimed = self.plausible_size(&head, chunk.offset, body.len())?;
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
@@ -221,6 +291,19 @@ impl Source {
             }
         }
         Ok(())
+    }
+
+    /// Refuses a compression that this program does not know.
+    fn must_unpack(&self, head: &ChunkHead<'_>, at: u64) -> Result<()> {
+        let name = String::from_utf8_lossy(head.compression);
+        if matches!(&*name, "" | "zstd" | "lz4") {
+            return Ok(());
+        }
+        let expected = "chunks compressed by zstd or lz4, or not at all";
+        let found: String = name.chars().take(20).collect();
+        let remedy = "the file need not be damaged: write it again, for instance with \
+                      `mcap filter --output-compression zstd IN.mcap -o OUT.mcap`";
+        Err(Error::input(self.place(at), expected, format!("compression {found:?}"), remedy))
     }
 
     /// The bytes that a chunk claims to unpack to, if that can be true of so many bytes in the file.
@@ -258,61 +341,5 @@ impl Source {
 
     fn damaged(&self, at: u64, error: mcap::McapError) -> Error {
         Error::input(self.place(at), "a whole chunk", error, DAMAGED)
-    }
-}
-
-/// A position in the file between two records.
-struct Walk<'a> {
-    file: BufReader<File>,
-    path: &'a Path,
-    at: u64,
-    length: u64,
-}
-
-impl Walk<'_> {
-    fn begin(&mut self) -> Result<()> {
-        let found = self.body(MAGIC.len() as u64)?;
-        if found.as_deref() == Some(&MAGIC) {
-            return Ok(());
-        }
-        let found =
-            found.map_or("a file of less than 8 bytes".into(), |bytes| format!("{bytes:02x?}"));
-        let expected = format!("an MCAP file, beginning with {MAGIC:02x?}");
-        let remedy = "give a file that `train` or `simulate` recorded";
-        Err(Error::input(self.path.display(), expected, found, remedy))
-    }
-
-    /// Opcode and length of the next record; `None` where the file ends before the record does.
-    fn head(&mut self) -> Result<Option<(u8, u64)>> {
-        let Some(head) = self.body(HEAD as u64)? else {
-            return Ok(None);
-        };
-        let mut bytes = Bytes(&head);
-        let opcode = bytes.take(1).and_then(|byte| byte.first().copied());
-        let head = opcode.zip(bytes.u64());
-        Ok(head.filter(|(_, length)| *length <= self.length - self.at))
-    }
-
-    /// The next bytes; `None` if the file has less.
-    fn body(&mut self, count: u64) -> Result<Option<Vec<u8>>> {
-        if count > self.length - self.at {
-            return Ok(None);
-        }
-        let mut bytes = Vec::new();
-        let mut part = self.file.by_ref().take(count);
-        part.read_to_end(&mut bytes).map_err(|error| Error::read(self.path, error))?;
-        self.at += bytes.len() as u64;
-        Ok((bytes.len() as u64 == count).then_some(bytes))
-    }
-
-    fn skip(&mut self, count: u64) -> Result<()> {
-        self.at += count;
-        let buffered = self.file.buffer().len() as u64;
-        let failed = |error| Error::read(self.path, error);
-        if count <= buffered {
-            self.file.consume(count as usize);
-            return Ok(());
-        }
-        self.file.seek(SeekFrom::Start(self.at)).map(drop).map_err(failed)
     }
 }

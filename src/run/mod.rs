@@ -1,20 +1,28 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
+pub mod door;
 mod evaluated;
+mod import;
 mod learned;
+mod lesson;
+mod origin;
 mod priced;
 mod reproduction;
 mod requirements;
 mod training;
 
+pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use import::{Import, Imported, Origins};
 pub use learned::{Losses, Seconds, TrainingReport};
+pub use lesson::{Lesson, settle_training};
+pub use origin::{Origin, must_be_trained};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use requirements::Requirements;
-pub use training::{Lesson, Progress, Training, earlier_guess, settle_training, what};
+pub use training::{Progress, Training, earlier_guess, what};
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::flow::{Flow, Rows, State, in_pool};
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
 use crate::scene::{Record, Scene};
@@ -144,59 +152,15 @@ pub fn run_recorded<const D: usize>(
     outcome
 }
 
-/// The true states in a recording, to learn from or to go on from.
+/// The true states in a recording, to learn from, where they fit themselves and the scene; [`admit`] also says what
+/// does not fit well.
 ///
 /// # Errors
-/// [`Error::Input`] where the recording does not fit the scene: dimension, box, number of frames
-/// from `first` on, or the time between frames.
+/// As [`admit`].
 pub fn truth_from_recording<const D: usize>(
     recording: &Recording,
     scene: &Scene,
-    (first, frames): (usize, usize),
+    part: (usize, usize),
 ) -> Result<Truth<D>> {
-    let topic = recording::Flow::Truth;
-    let (run, count) = (recording.run(), recording.frame_count(topic));
-    let refuse = |expected: String, found: String, remedy: &str| {
-        Err(Error::input(format!("recording of {}", topic.topic()), expected, found, remedy))
-    };
-    if run.dimension != D {
-        let remedy = "use a scene of the recording's dimension";
-        return refuse(format!("dimension {D}"), run.dimension.to_string(), remedy);
-    }
-    if (run.box_length - scene.fluid.box_length).abs() > 1e-12 * run.box_length {
-        let (expected, found) = (scene.fluid.box_length, run.box_length);
-        return refuse(format!("a box of {expected}"), found.to_string(), "set fluid.box_length");
-    }
-    if count < first + frames + 1 {
-        let expected =
-            format!("{} frames (the start, and learn.frames behind it)", first + frames + 1);
-        return refuse(
-            expected,
-            count.to_string(),
-            "set learn.after and learn.frames to what there is",
-        );
-    }
-    let mut truth = Truth { is_recorded: true, ..Truth::default() };
-    for k in first..=first + frames {
-        let frame = recording.frame(topic, k)?;
-        truth.states.push(State {
-            time: frame.time,
-            positions: frame.positions.into_iter().map(Vector::from_3d).collect(),
-            velocities: frame.velocities.into_iter().map(Vector::from_3d).collect(),
-        });
-        truth.densities.push(frame.densities);
-    }
-    let mut apart = truth.states.windows(2).map(|pair| pair[1].time - pair[0].time);
-    let wanted = scene.observed_interval();
-    // Recorded times are whole nanoseconds.
-    if let Some(apart) = apart.find(|apart| (apart - wanted).abs() > 2e-9) {
-        let steps = match scene.observed_every() {
-            1 => "the scene's time step".to_owned(),
-            every => format!("{every} of the scene's time steps"),
-        };
-        let expected = format!("frames {wanted} apart ({steps})");
-        let remedy = "set time.dt, or learn.every, to the time between frames";
-        return refuse(expected, apart.to_string(), remedy);
-    }
-    Ok(truth)
+    Ok(admit(recording, scene, part, false)?.truth)
 }

@@ -1,87 +1,20 @@
 //! A training from beginning to end: truth, search, learned flow, all of it recorded.
 
 use super::{
-    Losses, Seconds, TrainingReport, begin_recording, frame, run_info, run_recorded,
-    truth_from_recording,
+    Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, run_info, run_recorded,
 };
 use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::learn::{Evaluation, Iteration, Learner, Outcome};
 use crate::parameters::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
-use crate::scene::{Learn, Scene};
+use crate::scene::Scene;
 use crate::sensitivity::SHORTEN;
 use crate::statistics::pressure_error;
-use crate::trade::{Choice, settle};
 use crate::truth::{Truth, statistical_floor};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
-
-/// What is learned from: the truth, and its parameters where they are known.
-#[derive(Clone, Debug)]
-pub struct Lesson<const D: usize> {
-    /// What the scene asks for.
-    pub learn: Learn,
-    /// The true states.
-    pub truth: Truth<D>,
-    /// The true values of the learned physical parameters, where the truth was made on the spot.
-    pub known: Option<Vec<f64>>,
-    /// How long it took to make or to read it.
-    pub seconds: f64,
-}
-
-impl<const D: usize> Lesson<D> {
-    /// From the true particles of a recording, or by the scene's own law.
-    ///
-    /// # Errors
-    /// As [`truth_from_recording`] and [`Truth::generate`].
-    pub fn new(scene: &Scene, recorded: Option<&Path>) -> Result<Self> {
-        let learn = scene.learning()?.clone();
-        let clock = Instant::now();
-        let (truth, known) = match recorded {
-            Some(path) => {
-                let part = (first_frame(&learn)?, learn.frames);
-                (truth_from_recording(&Recording::open(path)?, scene, part)?, None)
-            }
-            None => {
-                let parameters = scene.parameters();
-                let known = learn.parameters.iter().filter_map(|p| parameters.get(p)).collect();
-                (Truth::generate(scene, (learn.after, learn.frames))?, Some(known))
-            }
-        };
-        Ok(Self { learn, truth, known, seconds: clock.elapsed().as_secs_f64() })
-    }
-}
-
-/// Which frame of a recording the scene learns from first: it has one for every `learn.every` steps.
-fn first_frame(learn: &Learn) -> Result<usize> {
-    if learn.after.is_multiple_of(learn.every) {
-        return Ok((learn.after / learn.every) as usize);
-    }
-    Err(Error::input(
-        "learn.after",
-        format!("a multiple of learn.every = {}, which are a frame of the recording", learn.every),
-        learn.after,
-        "begin with a step that was recorded",
-    ))
-}
-
-/// A training's scene with the step chosen for the accuracy that it asks for, before there is a truth:
-/// from the state from which the truth is run or, where `recorded` fixes its times, from the first state
-/// that is learned from. Truth and learned flow take the same step, and what is observed stays the same.
-///
-/// # Errors
-/// As [`settle`], [`Flow::new`] and [`truth_from_recording`].
-pub fn settle_training<const D: usize>(scene: &Scene, recorded: Option<&Path>) -> Result<Choice> {
-    settle(scene, |written| match recorded {
-        None => Ok(Flow::<D>::new(written)?.state()),
-        Some(path) => {
-            let part = (first_frame(written.learning()?)?, written.learning()?.frames);
-            Ok(truth_from_recording(&Recording::open(path)?, written, part)?.states.swap_remove(0))
-        }
-    })
-}
 
 /// How far a training is.
 #[derive(Clone, Copy, Debug)]
@@ -154,9 +87,13 @@ impl<const D: usize> Training<'_, D> {
         let Self { scene, lesson, record, .. } = self;
         let mut info = run_info(scene, "train");
         info.parameters = learner.columns().iter().map(Parameter::to_string).collect();
+        info.metadata.extend(lesson.origin.iter().flat_map(Origin::metadata));
         let start = lesson.truth.states[0].time;
         let mut recorder = begin_recording(record, (&info, scene), start)?;
         let every = lesson.learn.every;
+        for text in &lesson.warnings {
+            recorder.log(Level::Warning, start, text)?;
+        }
         let states = lesson.truth.states.iter().zip(&lesson.truth.densities);
         for (k, (state, densities)) in states.enumerate() {
             let frame = frame(every * k as u64, state, densities);

@@ -1,12 +1,9 @@
 //! What a scene must satisfy beyond its types.
 
-use super::{Forcing, Learn, Optimiser, Scene, Speed, Weights};
+use super::check_learn::{learn_requirements, loss_requirements, optimiser_requirements};
+use super::{Forcing, Scene, Speed};
 use crate::error::{Error, Result};
 use crate::forcing::ornstein_uhlenbeck::WIDEST;
-use crate::losses::FEWEST_NODES;
-use crate::models::ModelChoice;
-use crate::parameters::Parameter;
-use crate::sensitivity::{Coupling, Gradient};
 
 /// Requirement on one key: whether it holds, the key, what is expected, what is there.
 pub(crate) type Requirement = (bool, &'static str, &'static str, String);
@@ -20,12 +17,15 @@ impl Scene {
         requirements.extend(self.initial.field.requirements(self));
         if let Some(learn) = &self.learn {
             requirements.extend(learn_requirements(learn));
+            requirements.extend(optimiser_requirements(&learn.optimiser));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
             self.must_know(origin, learn)?;
+            self.must_start_inside(origin, learn)?;
         }
         match requirements.into_iter().find(|(holds, ..)| !holds) {
             None => {
                 self.fluid.kernel.check(&format!("{origin}: fluid.kernel"), self.dimension)?;
+                self.must_be_finite(origin)?;
                 match self.warm_up() {
                     Some(before) => before.check(&format!("{origin}: learn.warm_up")),
                     None => Ok(()),
@@ -40,28 +40,18 @@ impl Scene {
         }
     }
 
-    /// Refuses learned parameters that no term of the scene has.
-    fn must_know(&self, origin: &str, learn: &Learn) -> Result<()> {
-        let known = self.parameters();
-        for (key, list) in [("parameters", &learn.parameters), ("unbounded", &learn.unbounded)] {
-            let Some(unknown) = list.iter().find(|name| known.place(name).is_none()) else {
-                continue;
-            };
-            let names: Vec<&str> = known.specs().iter().map(|spec| spec.name.name()).collect();
-            let remedy = match unknown {
-                theta if *theta == Parameter::THETA => {
-                    "theta belongs to a forcing of kind \"deterministic\": set it, or leave theta out"
-                }
-                _ => "check the spelling, or name the term that it belongs to",
-            };
-            return Err(Error::input(
-                format!("{origin}: learn.{key}"),
-                format!("parameters of this scene: {}", names.join(", ")),
-                unknown,
-                remedy,
-            ));
+    /// Refuses a number anywhere that is not finite, whatever else is asked of its key.
+    fn must_be_finite(&self, origin: &str) -> Result<()> {
+        let written = toml::Value::try_from(self).ok();
+        match written.and_then(|table| not_finite(&table)) {
+            None => Ok(()),
+            Some((key, found)) => Err(Error::input(
+                format!("{origin}: {key}"),
+                "a finite number",
+                found,
+                "change it in the scene or with --set",
+            )),
         }
-        Ok(())
     }
 
     fn accuracy_requirements(&self) -> Vec<Requirement> {
@@ -161,7 +151,12 @@ impl Scene {
         let show = |x: f64| format!("{x}");
         let mut requirements = vec![
             (positive(t.courant), "time.courant", "a positive number", show(t.courant)),
-            (t.dt.is_none_or(positive), "time.dt", "a positive time", format!("{:?}", t.dt)),
+            (
+                t.dt.is_none_or(positive),
+                "time.dt",
+                "a positive time",
+                show(t.dt.unwrap_or_default()),
+            ),
             (t.skin >= 0.0 && t.skin.is_finite(), "time.skin", "zero or more", show(t.skin)),
             (
                 i.jitter >= 0.0 && i.jitter.is_finite(),
@@ -223,91 +218,22 @@ fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
     }
 }
 
-fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
-    let known = |name: &String| learn.parameters.iter().any(|p| p.name() == *name);
-    let unknown = learn.guess.keys().find(|name| !known(name));
-    let mut sorted = learn.parameters.clone();
-    sorted.sort_unstable();
-    sorted.dedup();
-    let ordered = learn.windows.windows(2).all(|pair| pair[0] < pair[1]);
-    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
-    let adjoint = learn.gradient == Gradient::Adjoint;
-    let rate = match learn.optimiser {
-        Optimiser::LevenbergMarquardt { damping } => damping,
-        Optimiser::Lbfgs { length, .. } => length,
-        Optimiser::Adam { rate, .. } | Optimiser::Rmsprop { rate, .. } => rate,
+/// The first number in a value that is not finite, and the key that leads there.
+fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
+    let below = |key: &str, value: &toml::Value| {
+        let (rest, found) = not_finite(value)?;
+        Some((if rest.is_empty() { key.to_owned() } else { format!("{key}.{rest}") }, found))
     };
-    vec![
-        (
-            sorted.len() == learn.parameters.len()
-                && (learn.model != ModelChoice::Physics || !learn.parameters.is_empty()),
-            "learn.parameters",
-            "at least one parameter where the model has no network, each once",
-            format!("{:?}", learn.parameters),
-        ),
-        (
-            unknown.is_none(),
-            "learn.guess",
-            "guesses for learned parameters only",
-            unknown.cloned().unwrap_or_default(),
-        ),
-        (learn.frames > 0, "learn.frames", "at least one observed frame", "0".to_owned()),
-        (learn.every > 0, "learn.every", "at least one step between frames", "0".to_owned()),
-        (
-            ordered && learn.windows.iter().all(|&w| w > 0 && w <= learn.frames),
-            "learn.windows",
-            "growing numbers of frames between 1 and learn.frames",
-            format!("{:?}", learn.windows),
-        ),
-        (
-            !(second_order && adjoint),
-            "learn.gradient",
-            "\"forward\" with the optimiser levenberg-marquardt, which needs the derivatives of every residual",
-            "\"adjoint\"".to_owned(),
-        ),
-        (
-            !(adjoint && learn.coupling == Coupling::Local),
-            "learn.coupling",
-            "\"full\" with the adjoint, which is always exact",
-            "\"local\"".to_owned(),
-        ),
-        (positive(rate), "learn.optimiser", "a positive rate or damping", format!("{rate}")),
-        (learn.target >= 0.0, "learn.target", "zero or more", format!("{}", learn.target)),
-    ]
+    match value {
+        toml::Value::Float(x) if !x.is_finite() => Some((String::new(), *x)),
+        toml::Value::Table(table) => table.iter().find_map(|(key, value)| below(key, value)),
+        toml::Value::Array(all) => {
+            all.iter().enumerate().find_map(|(k, value)| below(&k.to_string(), value))
+        }
+        _ => None,
+    }
 }
 
-fn loss_requirements(learn: &Learn, most_a_side: usize) -> Vec<Requirement> {
-    let Weights { trajectory, field, kl } = learn.loss;
-    let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
-    vec![
-        (
-            [trajectory, field, kl].iter().all(|&weight| weight >= 0.0)
-                && positive(trajectory + field + kl),
-            "learn.loss",
-            "weights of zero or more, one of them positive",
-            format!("trajectory {trajectory}, field {field}, kl {kl}"),
-        ),
-        (
-            learn.mesh.is_none_or(|nodes| (1..=most_a_side).contains(&nodes)),
-            "learn.mesh",
-            "at least one node a side, at most 67 million (8192 a side in 2D, 406 in 3D)",
-            format!("{} a side", learn.mesh.unwrap_or_default()),
-        ),
-        (
-            (FEWEST_NODES..=1_000_000).contains(&learn.increments.nodes),
-            "learn.increments.nodes",
-            "at least 16 nodes, at most a million (200 are the paper's)",
-            learn.increments.nodes.to_string(),
-        ),
-        (
-            !(second_order && kl > 0.0),
-            "learn.optimiser",
-            "\"lbfgs\", \"adam\" or \"rmsprop\" with learn.loss.kl, whose loss is not a sum of squares",
-            "\"levenberg-marquardt\"".to_owned(),
-        ),
-    ]
-}
-
-fn positive(x: f64) -> bool {
+pub(super) fn positive(x: f64) -> bool {
     x > 0.0 && x.is_finite()
 }

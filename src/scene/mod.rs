@@ -5,6 +5,7 @@
 
 mod accuracy;
 mod check;
+mod check_learn;
 mod guests;
 mod learn;
 mod read;
@@ -166,6 +167,7 @@ pub struct SpinUp {
 pub enum Forcing {
     /// Nothing.
     #[default]
+    #[serde(deserialize_with = "nothing_beside")]
     None,
     /// Energy at a fixed rate, [`crate::forcing::EnergyInjection`].
     Deterministic {
@@ -248,6 +250,17 @@ impl Record {
             && self.momentum_every > 0
             && (step / self.every).is_multiple_of(self.momentum_every)
     }
+}
+
+/// Reads what stands beside a `kind` that has no keys of its own: nothing.
+pub(crate) fn nothing_beside<'de, R: serde::Deserializer<'de>>(
+    reader: R,
+) -> std::result::Result<(), R::Error> {
+    /// A table without keys.
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Nothing {}
+    Nothing::deserialize(reader).map(|Nothing {}| ())
 }
 
 mod defaults {

@@ -2,6 +2,7 @@
 
 use super::Scene;
 use crate::error::{Error, Result};
+use crate::files;
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -116,8 +117,7 @@ impl Scene {
                 "check the spelling",
             ));
         }
-        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
-        Self::parse(&text, name_or_path, overrides)
+        Self::parse(&text_of(path)?, name_or_path, overrides)
     }
 
     /// A scene from TOML text; `origin` names the text in errors.
@@ -164,21 +164,48 @@ impl Scene {
     }
 }
 
+/// The text of a file.
+fn text_of(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let refuse = |found: &str, remedy: &str| {
+        Err(Error::input(path.display(), "a scene: a text file in TOML", found, remedy))
+    };
+    match (files::kind(&bytes), String::from_utf8(bytes)) {
+        (Some(kind), _) => refuse(kind.name(), kind.instead_of_a_scene()),
+        (None, Err(_)) => refuse("bytes that are no UTF-8 text", "save it as UTF-8"),
+        (None, Ok(text)) => Ok(text),
+    }
+}
+
 fn refused(origin: &str, text: &str, error: &toml::de::Error) -> Error {
+    let message = error.message().trim().replace('\n', " ");
     let place = match error.span() {
         Some(span) => {
-            let line = text[..span.start.min(text.len())].matches('\n').count();
+            let line = line_of(text, span.start, unknown_key(&message));
             let quoted = text.lines().nth(line).unwrap_or_default().trim();
             format!("{origin}, line {} (`{quoted}`)", line + 1)
         }
         None => origin.to_owned(),
     };
-    Error::input(
-        place,
-        "a scene as the manual describes it",
-        error.message().trim().replace('\n', " "),
-        "correct this line",
-    )
+    Error::input(place, "a scene as the manual describes it", message, "correct this line")
+}
+
+/// The key that a message calls unknown.
+fn unknown_key(message: &str) -> Option<&str> {
+    message.strip_prefix("unknown field `")?.split('`').next()
+}
+
+/// The line of a mistake, counted from zero: that of the place or, in a table that begins there, of the key that it
+/// should not have.
+fn line_of(text: &str, place: usize, key: Option<&str>) -> usize {
+    let first = text[..place.min(text.len())].matches('\n').count();
+    let begins = |line: &str| {
+        let rest = key.and_then(|key| line.trim_start().strip_prefix(key));
+        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+    };
+    let of_table = |(k, line): &(usize, &str)| *k == 0 || !line.trim_start().starts_with('[');
+    let mut lines = text.lines().skip(first).enumerate().take_while(of_table);
+    lines.find(|(_, line)| begins(line)).map_or(first, |(k, _)| first + k)
 }
 
 /// Puts `key=value` into a table, value as TOML where it is TOML and as text otherwise.

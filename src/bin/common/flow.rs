@@ -13,13 +13,6 @@ pub(crate) fn progress(length: u64, what: &'static str) -> ProgressBar {
     bar
 }
 
-/// Prints a warning on standard error.
-#[allow(dead_code, reason = "not every command that runs flows warns")]
-#[expect(clippy::print_stderr, reason = "a command warns here")]
-pub(crate) fn warn(text: &str) {
-    eprintln!("warning: {text}");
-}
-
 /// Runs `$run::<D>($($argument),*)` with the scene's dimension as `D`.
 macro_rules! in_dimension {
     ($scene:expr, $run:ident($($argument:expr),*)) => {

@@ -30,3 +30,10 @@ pub(crate) fn say_json(report: &impl serde::Serialize) -> Result<()> {
     say(text);
     Ok(())
 }
+
+/// Prints a warning on standard error.
+#[allow(dead_code, reason = "not every command warns")]
+#[expect(clippy::print_stderr, reason = "a command warns here")]
+pub(crate) fn warn(text: &str) {
+    eprintln!("warning: {text}");
+}

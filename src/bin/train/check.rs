@@ -1,7 +1,7 @@
 //! What a gradient is worth: against other ways to find it, and with less of it.
 
-use crate::common::{say, say_json};
-use crate::flow::{progress, warn};
+use crate::common::{say, say_json, warn};
+use crate::flow::progress;
 use serde::Serialize;
 use std::time::Instant;
 use whirls::learn::{Evaluation, Learner};

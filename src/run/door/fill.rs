@@ -1,0 +1,116 @@
+//! Whether particles fill their box.
+
+use super::Findings;
+use crate::error::Result;
+use crate::flow::State;
+use crate::kernel::KernelChoice;
+use crate::space::PeriodicBox;
+use crate::truth::summed_densities;
+
+/// Fewer particles than this fill no box.
+const FEWEST: usize = 27;
+
+/// A gap along an axis may be this many particle spacings; in a lattice it is one.
+const WIDEST: f64 = 1.5;
+
+/// Densities of particles that were folded into a smaller box than theirs differ by more than this, as a share of
+/// their mean; those of a weakly compressible flow differ by some hundredths.
+const FOLDED: f64 = 0.2;
+
+/// What to do about a box that is not filled.
+const FILLED: &str = "give the box that they fill (--box, fluid.box_length)";
+
+/// Names of the axes.
+const NAMES: [&str; 3] = ["x", "y", "z"];
+
+/// Refuses particles that leave a part of the box empty, that lie in a plane, or that were folded into a box
+/// smaller than their own.
+pub(super) fn check<const D: usize>(
+    state: &State<D>,
+    space: PeriodicBox,
+    findings: &mut Findings,
+) -> Result<()> {
+    let count = state.positions.len();
+    if count < FEWEST {
+        return Ok(());
+    }
+    let per_axis = (count as f64).powf(1.0 / D as f64);
+    let spacing = space.length / per_axis;
+    for axis in 0..D {
+        let along: Vec<f64> = state.positions.iter().map(|r| r.0[axis]).collect();
+        let (low, high) = ends(&along);
+        let name = NAMES[axis];
+        if high - low <= 1e-9 * space.length {
+            say_flat(state, (axis, low), findings)?;
+            continue;
+        }
+        let gap = widest_gap(&along, space);
+        if gap > WIDEST * spacing {
+            let found = format!(
+                "{name} from {low:.6} to {high:.6}, with nothing along {gap:.6} of the box; they look like those of a \
+                 box of {:.6}",
+                (space.length - gap) * per_axis / (per_axis - 1.0)
+            );
+            let expected = format!("particles all over a box of {}", space.length);
+            return findings.refuse(expected, found, FILLED);
+        }
+        if high - low > 1.02 * space.length {
+            check_folded(state, space, (name, low, high), findings)?;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses particles that are all in one place along an axis.
+fn say_flat<const D: usize>(
+    state: &State<D>,
+    (axis, place): (usize, f64),
+    findings: &mut Findings,
+) -> Result<()> {
+    let still = state.velocities.iter().all(|v| v.0[axis].abs() <= 0.0);
+    let remedy = match (axis, still) {
+        (2, true) => {
+            "the flow has two dimensions: drop the third column, as in r[..., :2] and v[..., :2]"
+        }
+        _ => "give positions that differ along every axis",
+    };
+    let name = NAMES[axis];
+    let expected = format!("particles all over the box along {name}");
+    findings.refuse(expected, format!("{name} = {place} of every particle"), remedy)
+}
+
+/// Refuses particles that span more than a box, and that the box folds on top of each other.
+fn check_folded<const D: usize>(
+    state: &State<D>,
+    space: PeriodicBox,
+    (name, low, high): (&str, f64, f64),
+    findings: &mut Findings,
+) -> Result<()> {
+    let spacing = space.length / (state.positions.len() as f64).powf(1.0 / D as f64);
+    let rho = summed_densities((KernelChoice::CubicSpline, 1.2 * spacing), space, &state.positions);
+    let mean = rho.iter().sum::<f64>() / rho.len() as f64;
+    let spread = rho.iter().map(|rho| (rho - mean).powi(2)).sum::<f64>() / rho.len() as f64;
+    if spread.sqrt() <= FOLDED * mean {
+        return Ok(());
+    }
+    let found = format!(
+        "{name} from {low:.6} to {high:.6}; folded into the box, particles lie on top of each other (their densities \
+         differ by {:.0} %)",
+        100.0 * spread.sqrt() / mean
+    );
+    let expected = format!("particles of a box of {}", space.length);
+    findings.refuse(expected, found, FILLED)
+}
+
+fn ends(numbers: &[f64]) -> (f64, f64) {
+    let start = (f64::INFINITY, f64::NEG_INFINITY);
+    numbers.iter().fold(start, |(low, high), &x| (x.min(low), x.max(high)))
+}
+
+/// The longest stretch of a periodic axis without a particle.
+fn widest_gap(along: &[f64], space: PeriodicBox) -> f64 {
+    let mut inside: Vec<f64> = along.iter().map(|x| x.rem_euclid(space.length)).collect();
+    inside.sort_unstable_by(f64::total_cmp);
+    let seam = inside.first().zip(inside.last()).map_or(0.0, |(a, b)| a + space.length - b);
+    inside.windows(2).map(|pair| pair[1] - pair[0]).fold(seam, f64::max)
+}

@@ -1,0 +1,180 @@
+//! What a recording says of itself against the scene, key by key.
+
+use super::Findings;
+use crate::error::Result;
+use crate::parameters::Parameter;
+use crate::recording::Recording;
+use crate::scene::{Forcing, Learn, Scene};
+
+/// Refuses another box: a difference of round-off is none.
+pub(super) fn check_box(
+    recording: &Recording,
+    scene: &Scene,
+    findings: &mut Findings,
+) -> Result<()> {
+    let (expected, found) = (scene.fluid.box_length, recording.run().box_length);
+    if alike(expected, found) {
+        return Ok(());
+    }
+    let remedy = "set fluid.box_length to it";
+    findings.refuse(format!("a box of {expected}"), found, remedy)
+}
+
+/// Whether two numbers are the same but for round-off.
+fn alike(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
+}
+
+/// The scene that made a recording, where there is one that can be read.
+fn scene_of(recording: &Recording, findings: &mut Findings) -> Option<Scene> {
+    let text = &recording.run().scene_toml;
+    if text.is_empty() {
+        return None;
+    }
+    let scene = Scene::parse(text, "the recording's scene", &[]);
+    if let Err(error) = &scene {
+        findings.warn(format!("its scene is not held against this one: {error}"));
+    }
+    scene.ok()
+}
+
+/// A number of the recording's metadata.
+fn number(recording: &Recording, key: &str) -> Option<f64> {
+    recording.run().metadata.get(key)?.parse().ok()
+}
+
+/// Refuses a recording of another `h`, kernel or kind of step, and says what else differs and is not learned.
+pub(super) fn check_truth(
+    recording: &Recording,
+    scene: &Scene,
+    findings: &mut Findings,
+) -> Result<()> {
+    let made_by = scene_of(recording, findings);
+    let imported = made_by.is_none();
+    let h = match &made_by {
+        Some(other) => Some(other.fluid.smoothing_length),
+        None => number(recording, "smoothing_length"),
+    };
+    let ours = scene.fluid.smoothing_length;
+    if let Some(h) = h.filter(|h| !alike(*h, ours)) {
+        let remedy = "set fluid.smoothing_length to it: another one is another fluid";
+        findings.refuse(format!("a smoothing length of {ours}"), h, remedy)?;
+    }
+    let kernel = match &made_by {
+        Some(other) => Some(other.fluid.kernel.name()),
+        None => recording.run().metadata.get("kernel").map(String::as_str),
+    };
+    let ours = scene.fluid.kernel.name();
+    if let Some(kernel) = kernel.filter(|kernel| *kernel != ours) {
+        findings.refuse(format!("the kernel {ours}"), kernel, "set fluid.kernel to it")?;
+    }
+    match made_by {
+        Some(other) if !imported => check_scene(&other, scene, findings),
+        _ => Ok(()),
+    }
+}
+
+/// The same for what only a scene knows.
+fn check_scene(other: &Scene, scene: &Scene, findings: &mut Findings) -> Result<()> {
+    // A step that an accuracy asked for stands in place of the recording's.
+    let chosen = scene.chosen.is_some() || scene.is_unsettled();
+    let steps = [other, scene].map(|scene| scene.time.step.name());
+    if steps[0] != steps[1] && !chosen {
+        let remedy = "set time.step to it: the steps of a kind err in their own way, and so does what is learned";
+        findings.refuse(
+            format!("steps of kind \"{}\"", steps[1]),
+            format!("\"{}\"", steps[0]),
+            remedy,
+        )?;
+    }
+    if !alike(other.dt(), scene.dt()) && !chosen {
+        let (found, ours) = (other.dt(), scene.dt());
+        findings.warn(format!(
+            "recorded in time steps of {found}, and learned in steps of {ours}; set time.dt and learn.every to \
+             learn in the same"
+        ));
+    }
+    if let Some(learn) = &scene.learn {
+        say_other_laws(other, (scene, learn), findings);
+    }
+    Ok(())
+}
+
+/// Says which forcing and which constants differ that are not learned.
+fn say_other_laws(other: &Scene, (scene, learn): (&Scene, &Learn), findings: &mut Findings) {
+    if !stirred_alike(&other.forcing, &scene.forcing, learn) {
+        findings.warn(format!(
+            "recorded with {}, and learned with {}; set [forcing] to the first",
+            stirring(&other.forcing),
+            stirring(&scene.forcing)
+        ));
+    }
+    let (theirs, ours) = (other.parameters(), scene.parameters());
+    for spec in ours.specs() {
+        let learned = learn.parameters.contains(&spec.name) || spec.name == Parameter::THETA;
+        let unseen = is_unseen(spec.name.name(), learn);
+        let found = theirs.get(&spec.name);
+        if let (false, Some(found)) = (learned || unseen, found.filter(|x| !alike(*x, spec.value)))
+        {
+            findings.warn(format!(
+                "recorded at {name} = {found}, and learned at {}, which is not learned; set it, or add it to \
+                 learn.parameters",
+                spec.value,
+                name = spec.name
+            ));
+        }
+    }
+}
+
+/// Whether a model with a network in its place never looks at a constant of the fluid.
+fn is_unseen(name: &str, learn: &Learn) -> bool {
+    let replaced = match learn.model.kind() {
+        "physics" => &[][..],
+        "eos-nn" => &["c", "gamma", "p0"][..],
+        "grad-p" => &["c", "gamma", "p0"][..],
+        _ => &["c", "alpha", "beta", "gamma", "p0"][..],
+    };
+    replaced.contains(&name)
+}
+
+/// Whether two forcings are one, but for a strength that is learned.
+fn stirred_alike(theirs: &Forcing, ours: &Forcing, learn: &Learn) -> bool {
+    match (theirs, ours) {
+        (
+            Forcing::Deterministic { power: theirs, .. },
+            Forcing::Deterministic { power: ours, .. },
+        ) if learn.parameters.contains(&Parameter::THETA) => theirs == ours,
+        _ => theirs == ours,
+    }
+}
+
+/// A forcing as a scene spells it.
+fn stirring(forcing: &Forcing) -> String {
+    toml::to_string(forcing).unwrap_or_default().trim().replace('\n', ", ")
+}
+
+/// Says what a flow that goes on from a recording does not share with it. Time step, forcing and constants of the
+/// fluid are what one goes on with to change.
+pub(super) fn check_state(recording: &Recording, scene: &Scene, findings: &mut Findings) {
+    let Some(other) = scene_of(recording, findings) else { return };
+    let (theirs, ours) = (other.fluid.smoothing_length, scene.fluid.smoothing_length);
+    if !alike(theirs, ours) {
+        findings.warn(format!("recorded at a smoothing length of {theirs}, and goes on at {ours}"));
+    }
+    let kernels = [&other, scene].map(|scene| scene.fluid.kernel.name());
+    if kernels[0] != kernels[1] {
+        findings
+            .warn(format!("recorded in the kernel {}, and goes on in {}", kernels[0], kernels[1]));
+    }
+}
+
+/// Says that the scene would make another number of particles.
+pub(super) fn check_particles(found: usize, scene: &Scene, findings: &mut Findings) {
+    let ours = scene.particles();
+    if found != ours {
+        findings.warn(format!(
+            "{found} particles, where the scene has {ours}: the recorded ones are taken, of mass Lᵈ/{found} each; set \
+             fluid.particles_per_side to have the scene's mesh and skin fit them"
+        ));
+    }
+}

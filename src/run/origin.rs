@@ -1,0 +1,93 @@
+//! Where a truth came from: a file, known again by its bytes.
+
+use crate::error::{Error, Result};
+use crate::recording::Recording;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Keys of a recording's metadata.
+const FILE: &str = "truth_file";
+const DIGEST: &str = "truth_digest";
+
+/// A file of recorded particles that was learned from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// Where it was, as an absolute path.
+    pub path: PathBuf,
+    /// Its bytes as one number: FNV-1a of 64 bits in hexadecimal, against mistakes and not against forgery.
+    pub digest: String,
+}
+
+impl Origin {
+    /// That of a file as it is now.
+    ///
+    /// # Errors
+    /// [`Error::File`] where it cannot be read.
+    pub fn of(path: &Path) -> Result<Self> {
+        let failed = |error| Error::read(path, error);
+        let mut file = std::fs::File::open(path).map_err(failed)?;
+        let (mut sum, mut part) = (0xcbf2_9ce4_8422_2325_u64, vec![0; 1 << 16]);
+        loop {
+            let count = file.read(&mut part).map_err(failed)?;
+            if count == 0 {
+                break;
+            }
+            let add = |sum: u64, byte: &u8| (sum ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+            sum = part[..count].iter().fold(sum, add);
+        }
+        let path = std::fs::canonicalize(path).map_err(failed)?;
+        Ok(Self { path, digest: format!("fnv1a-{sum:016x}") })
+    }
+
+    /// That of the truth which a training learned from, as its recording has it; none where the truth was made from
+    /// the scene.
+    pub fn recorded(recording: &Recording) -> Option<Self> {
+        let metadata = &recording.run().metadata;
+        let (path, digest) = (metadata.get(FILE)?.into(), metadata.get(DIGEST)?.clone());
+        Some(Self { path, digest })
+    }
+
+    /// Its entries in the metadata of a recording.
+    pub(super) fn metadata(&self) -> [(String, String); 2] {
+        let path = self.path.display().to_string();
+        [(FILE.to_owned(), path), (DIGEST.to_owned(), self.digest.clone())]
+    }
+
+    /// Refuses a file that is gone or has been changed; `place` is the recording that names it.
+    ///
+    /// # Errors
+    /// [`Error::Input`], with what to pass instead.
+    pub fn must_be_there(&self, place: &Path) -> Result<()> {
+        let path = self.path.display();
+        let expected =
+            format!("the particles that the model was learned from, {path} ({})", self.digest);
+        let refuse = |found: String| {
+            let remedy = "give them with --truth FILE.mcap, or --truth SCENE to compare with a flow that a \
+                          scene makes";
+            Err(Error::input(place.display(), &expected, found, remedy))
+        };
+        match Self::of(&self.path) {
+            Ok(found) if found.digest == self.digest => Ok(()),
+            Ok(found) => refuse(format!("another file of that name ({})", found.digest)),
+            Err(_) => refuse("no such file".to_owned()),
+        }
+    }
+}
+
+/// Refuses a recording that has no scene, such as an imported one, where a learned model is wanted.
+///
+/// # Errors
+/// [`Error::Input`], with what to do.
+pub fn must_be_trained(path: &Path, recording: &Recording) -> Result<()> {
+    if !recording.run().scene_toml.trim().is_empty() {
+        return Ok(());
+    }
+    let file = path.display();
+    let expected = "a learned model, as `train` records it";
+    let command = recording.run().metadata.get("command").map_or("another program", String::as_str);
+    let found = format!("a recording without a scene, of `{command}`");
+    let remedy = format!(
+        "learn from it first: `train SCENE --truth {file} --record learned.mcap`, then `evaluate learned.mcap`"
+    );
+    Err(Error::input(file, expected, found, remedy))
+}
