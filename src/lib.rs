@@ -8,6 +8,7 @@ pub mod error;
 pub mod evaluation;
 pub mod flow;
 pub mod forcing;
+pub mod interrupt;
 pub mod kernel;
 pub mod learn;
 pub mod losses;

@@ -2,6 +2,7 @@
 
 use super::{Evaluation, Iteration, Learner, Outcome};
 use crate::error::Result;
+use crate::interrupt;
 use crate::optimisers::{
     Adam, Coordinates, Descend, Lbfgs, LevenbergMarquardt, LineSearch, Rmsprop,
 };
@@ -14,6 +15,11 @@ impl<const D: usize> Learner<D> {
         guess: Vec<f64>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
+        // A trial that was interrupted is no iteration.
+        let watch = &mut |iteration: &Iteration<'_>| {
+            interrupt::check()?;
+            watch(iteration)
+        };
         // The guess is iteration zero; one whose flow diverges can still be left by a shorter window.
         let first = self.evaluate(&guess, self.frames).ok();
         let initial_loss = first.as_ref().map_or(f64::INFINITY, |e| e.loss);
