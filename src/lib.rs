@@ -16,6 +16,7 @@ pub mod models;
 pub mod near;
 pub mod network;
 pub mod optimisers;
+pub mod output;
 pub mod packed;
 pub mod pairs;
 pub mod parameters;

@@ -16,6 +16,9 @@
 //! cloud is x y z vx vy vz rho (FLOAT64), id (UINT32), red green blue alpha (UINT8): 64 bytes. Such a
 //! file opens as it is in Rerun (0.36 and later) and in Foxglove.
 //!
+//! A file gets its name when it is complete, see [`crate::output`]: until then it is called `NAME.unfinished.mcap`, can
+//! be looked at, and is found by [`Recording::open`] where there is no file of the name yet.
+//!
 //! A particle message has a chunk of its own, so one frame can be read without its neighbours and
 //! numbers without any frame. Times are simulation times or counters, never the wall clock: equal
 //! inputs give equal bytes.
@@ -26,6 +29,7 @@ mod colour;
 #[cfg(feature = "viewer")]
 pub mod dashboard;
 mod messages;
+mod orders;
 mod reader;
 mod recorder;
 mod recover;

@@ -1,7 +1,7 @@
 //! [`recover`]: what a killed run left, as a complete file.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use prost::Message as _;
 
@@ -12,6 +12,7 @@ use super::sink::{Entry, Sink};
 use super::source::Source;
 use super::wire::{ChannelRecord, MessageRecord, SchemaRecord, opcode};
 use super::{Summary, topic};
+use crate::output::{Output, must_differ};
 use crate::{Error, Result};
 
 /// What [`recover`] brought over.
@@ -34,33 +35,24 @@ pub struct Recovered {
 /// [`Error::File`] if a file cannot be read or written; [`Error::Input`] if the input is not a
 /// recording, or input and output are the same file.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
-    if std::fs::canonicalize(output).is_ok_and(|to| std::fs::canonicalize(input).ok() == Some(to)) {
-        return Err(Error::input(
-            output.display(),
-            "an output other than the input",
-            "the same file",
-            "name another file",
-        ));
-    }
+    must_differ(output, &[input])?;
     let mut source = Source::open(input)?;
     let place = input.display().to_string();
     let record = source.record.take().ok_or_else(|| no_metadata(&place))?;
     let mut copy = Copy::default();
     let scene = copy.scene(&source);
-    let unfinished = unfinished_name(output);
-    let mut sink = Sink::create(&unfinished, record, &scene)?;
-    sink.begin(&scene)?;
-    copy.chunks(&source, &mut sink)?;
-    let Summary { messages, bytes } = sink.finish()?;
-    std::fs::rename(&unfinished, output).map_err(|error| Error::write(output, error))?;
+    // The input may be what a killed run left of this very output.
+    let output = Output::beside(output)?;
+    let copied = Sink::create(output.clone(), record, &scene).and_then(|mut sink| {
+        sink.begin(&scene)?;
+        copy.chunks(&source, &mut sink)?;
+        sink.finish(true)
+    });
+    if copied.is_err() {
+        output.discard();
+    }
+    let Summary { messages, bytes } = copied?;
     Ok(Recovered { messages, chunks: source.chunks.len() as u64, chunks_lost: copy.lost, bytes })
-}
-
-/// The name of the output while it is written.
-fn unfinished_name(output: &Path) -> PathBuf {
-    let mut name = output.as_os_str().to_owned();
-    name.push(".unfinished");
-    name.into()
 }
 
 /// What has been met on the way through the input.

@@ -17,6 +17,7 @@ use super::wire::{
     opcode,
 };
 use super::{DAMAGED, RUN};
+use crate::output::readable;
 use crate::{Error, Result};
 
 /// No chunk is unpacked to more bytes than this.
@@ -47,11 +48,12 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Walks the file.
+    /// Walks the file or, where there is none of that name yet, the unfinished one.
     ///
     /// # Errors
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file.
     pub(super) fn open(path: &Path) -> Result<Self> {
+        let path = &readable(path);
         let failed = |error| Error::read(path, error);
         let mut file = File::open(path).map_err(failed)?;
         let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
@@ -76,6 +78,11 @@ impl Source {
             source.note(code, length, &mut walk)?;
         }
         Ok(source)
+    }
+
+    /// The file that is read.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Takes one record of the file into account.
