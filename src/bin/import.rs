@@ -5,10 +5,12 @@ mod common;
 use clap::Parser;
 use common::{conclude, say, say_json};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use whirls::arrays::Array;
+use whirls::output::Output;
 use whirls::recording::{Flow, Frame, Recorder, RunInfo};
+use whirls::run::Guard;
 use whirls::{Error, Result};
 
 /// Makes a recording of .npy arrays [frames, particles, dimension], to learn from with
@@ -37,6 +39,9 @@ struct Arguments {
     /// The recording to write.
     #[arg(long, value_name = "truth.mcap")]
     out: PathBuf,
+    /// Let the recording replace any file that is no input, not only an earlier one of this command.
+    #[arg(long)]
+    overwrite: bool,
     /// Print one JSON object as the last line of standard output.
     #[arg(long)]
     json: bool,
@@ -61,6 +66,7 @@ fn import(arguments: &Arguments) -> Result<()> {
             return Err(Error::input(name, "a positive number", value, "give it in box units"));
         }
     }
+    let output = reserve(arguments)?;
     let positions = Array::open(&arguments.positions, 3)?;
     let velocities = Array::open(&arguments.velocities, 3)?;
     velocities.must_have(&positions.shape, arguments.velocities.display())?;
@@ -77,8 +83,7 @@ fn import(arguments: &Arguments) -> Result<()> {
         }
         None => None,
     };
-    let mut recorder =
-        Recorder::create(&arguments.out, &run_info(arguments, &velocities, dimension))?;
+    let mut recorder = Recorder::begin(output, &run_info(arguments, &velocities, dimension))?;
     for k in 0..frames {
         let vector = |array: &Array, i: usize| {
             std::array::from_fn(|axis| if axis < dimension { array.at(&[k, i, axis]) } else { 0.0 })
@@ -105,6 +110,16 @@ fn import(arguments: &Arguments) -> Result<()> {
         arguments.out.display()
     ));
     if arguments.json { say_json(&report) } else { Ok(()) }
+}
+
+/// The recording's place.
+fn reserve(arguments: &Arguments) -> Result<Output> {
+    let Arguments { positions, velocities, densities, .. } = arguments;
+    let inputs = [Some(positions), Some(velocities), densities.as_ref()];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let overwrite = Some(arguments.overwrite);
+    let guard = Guard { command: "import", inputs: &inputs, overwrite, ..Guard::default() };
+    guard.reserve(&arguments.out)
 }
 
 fn run_info(arguments: &Arguments, velocities: &Array, dimension: usize) -> RunInfo {

@@ -1,29 +1,32 @@
 //! What a command does between its arguments and its report: flows recorded as they run.
 
 mod evaluated;
+mod guard;
+mod memory;
 mod priced;
 mod reproduction;
 mod requirements;
 mod training;
+mod training_report;
 
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use guard::{Guard, command_of};
+pub use memory::{Room, must_fit, simulation_bytes, training_bytes};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use requirements::Requirements;
-pub use training::{
-    Lesson, Losses, Progress, Seconds, Training, TrainingReport, earlier_guess, settle_training,
-    what,
-};
+pub use training::{Earlier, Lesson, Progress, Training, settle_training, what};
+pub use training_report::{Losses, Seconds, TrainingReport};
 
 use crate::error::{Error, Result};
 use crate::flow::{Flow, Rows, State, in_pool};
+use crate::output::Output;
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
 use crate::scene::{Record, Scene};
 use crate::statistics;
 use crate::truth::Truth;
 use crate::vector::Vector;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// What a recording says about the run that writes it.
 pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
@@ -62,13 +65,13 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
 /// Begins a recording: what is known of the run and, in its log, which step was chosen for it.
 ///
 /// # Errors
-/// As [`Recorder::create`].
+/// As [`Recorder::begin`].
 pub fn begin_recording(
-    path: &Path,
+    output: Output,
     (info, scene): (&RunInfo, &Scene),
     time: f64,
 ) -> Result<Recorder> {
-    let mut recorder = Recorder::create(path, info)?;
+    let mut recorder = Recorder::begin(output, info)?;
     if let Some(chosen) = scene.chosen {
         recorder.log(Level::Info, time, chosen.to_string())?;
     }
@@ -108,7 +111,7 @@ fn record_now<const D: usize>(
 /// the recording.
 ///
 /// # Errors
-/// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
+/// [`Error::Diverged`] and [`Error::Interrupted`] from the flow, [`Error::File`] from the recorder.
 pub fn run_recorded<const D: usize>(
     flow: &mut Flow<D>,
     (steps, record): (u64, &Record),
@@ -140,9 +143,19 @@ pub fn run_recorded<const D: usize>(
         Ok(outcome)
     })?;
     if let (Err(error), Some(recorder)) = (&outcome, &mut recorder) {
-        recorder.log(Level::Error, flow.time(), error.to_string())?;
+        recorder.log(Level::Error, flow.time(), what_stopped(error))?;
     }
     outcome
+}
+
+/// A failure as a line of the log.
+fn what_stopped(error: &Error) -> String {
+    match error {
+        Error::Interrupted { .. } => {
+            "interrupted: the recording ends before the run would have".into()
+        }
+        other => other.to_string(),
+    }
 }
 
 /// The true states in a recording, to learn from or to go on from.

@@ -1,0 +1,76 @@
+//! What a training comes to, as it is printed and remembered.
+
+use crate::scene::Chosen;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// What a training comes to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainingReport {
+    /// Name of the scene.
+    pub scene: String,
+    /// Kind of the model.
+    pub model: String,
+    /// Number of particles.
+    pub particles: usize,
+    /// Steps to the last that is observed.
+    pub steps: usize,
+    /// The step that was chosen for the accuracy asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chosen: Option<Chosen>,
+    /// How the gradient was found.
+    pub gradient: String,
+    /// Iterations of the search, those of an earlier recording that it went on from included.
+    pub iterations: usize,
+    /// How many of them the earlier recording had; none where the search began anew.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations_before: Option<usize>,
+    /// Loss of the guess; infinite, and `null` in JSON, where its flow diverges.
+    #[serde(deserialize_with = "infinite_or")]
+    pub loss_initial: f64,
+    /// Loss at the end.
+    pub loss_final: f64,
+    /// Learned parameters by name.
+    pub parameters: BTreeMap<String, f64>,
+    /// True ones, where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<BTreeMap<String, f64>>,
+    /// Wall-clock time.
+    pub seconds: Seconds,
+    /// Where everything was recorded.
+    pub recording: PathBuf,
+    /// Parts of the final loss.
+    pub losses: Losses,
+    /// The statistical loss between realisations of the truth.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kl_floor: Option<f64>,
+    /// Largest difference of a learned pressure from the true one, over the densities seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pressure_error: Option<f64>,
+}
+
+/// Parts of a loss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Losses {
+    /// Of trajectories.
+    pub trajectory: f64,
+    /// Of fields.
+    pub field: f64,
+    /// Of velocity increments.
+    pub kl: f64,
+}
+
+/// Wall-clock times in seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Seconds {
+    /// To make or read the truth.
+    pub truth: f64,
+    /// To search, and to record it.
+    pub train: f64,
+}
+
+/// JSON has no infinity.
+fn infinite_or<'de, R: serde::Deserializer<'de>>(reader: R) -> std::result::Result<f64, R::Error> {
+    Ok(Option::deserialize(reader)?.unwrap_or(f64::INFINITY))
+}
