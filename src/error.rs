@@ -1,7 +1,8 @@
 //! The one error type of the crate.
 //!
 //! Callers act on three questions only (was the input bad, did the flow fail, did the disk fail), so
-//! there is one enum with one variant each; every message says what was expected, what was found and
+//! there is one enum with one variant each, and one for a run that was
+//! asked to stop; every message says what was expected, what was found and
 //! what to do, and [`Error::exit_code`] is what a command returns to the shell.
 
 use std::path::{Path, PathBuf};
@@ -46,6 +47,14 @@ pub enum Error {
         source: std::io::Error,
         /// What to do about it.
         remedy: &'static str,
+    },
+    /// A signal asked the run to stop.
+    #[error("interrupted by {}: {kept}", crate::interrupt::name(*signal))]
+    Interrupted {
+        /// The signal's number.
+        signal: u8,
+        /// What was kept, and how to go on.
+        kept: String,
     },
 }
 
@@ -92,17 +101,43 @@ impl Error {
     pub fn diverged_at(&self) -> Option<u64> {
         match self {
             Self::Diverged { step, .. } => Some(*step),
-            Self::Input { .. } | Self::File { .. } => None,
+            Self::Input { .. } | Self::File { .. } | Self::Interrupted { .. } => None,
+        }
+    }
+
+    /// The same failure once more, for a caller that asks again.
+    pub(crate) fn again(&self) -> Self {
+        match self {
+            Self::Input { place, expected, found, remedy } => {
+                Self::input(place, expected, found, remedy)
+            }
+            Self::Diverged { step, time, quantity, found, remedy } => Self::Diverged {
+                step: *step,
+                time: *time,
+                quantity: quantity.clone(),
+                found: found.clone(),
+                remedy: remedy.clone(),
+            },
+            Self::File { action, path, source, remedy } => {
+                let same = source.raw_os_error().map(std::io::Error::from_raw_os_error);
+                let said = || std::io::Error::new(source.kind(), source.to_string());
+                let (path, source) = (path.clone(), same.unwrap_or_else(said));
+                Self::File { action, path, source, remedy }
+            }
+            Self::Interrupted { signal, kept } => {
+                Self::Interrupted { signal: *signal, kept: kept.clone() }
+            }
         }
     }
 
     /// What a command returns to the shell: 2 for bad input (a missing input file included), 1 for a
-    /// run that failed.
+    /// run that failed, 128 and the signal's number for one that was interrupted.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } => 2,
             Self::File { action: "read", .. } => 2,
             Self::Diverged { .. } | Self::File { .. } => 1,
+            Self::Interrupted { signal, .. } => signal.saturating_add(128),
         }
     }
 }

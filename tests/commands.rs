@@ -128,7 +128,8 @@ fn a_scene_that_asks_for_accuracy_runs_in_the_step_chosen_for_it_and_its_recordi
             assert_eq!(chosen, flow["chosen"]);
             std::fs::write(place.path("ran.toml"), &run.scene_toml).unwrap();
             let command = if name == "flow.mcap" { "simulate" } else { "train" };
-            let again = place.json(command, &["ran.toml", "--json", "--record", "again.mcap"]);
+            let again = ["ran.toml", "--json", "--record", "again.mcap", "--overwrite"];
+            let again = place.json(command, &again);
             assert_eq!(again["chosen"], flow["chosen"]);
             let bytes = [name, "again.mcap"].map(|name| std::fs::read(place.path(name)).unwrap());
             assert!(bytes[0] == bytes[1], "{what}: equal bytes of {name}");
@@ -607,10 +608,11 @@ fn help_names_every_option() {
                 "--check-gradient",
                 "--check-coupling",
                 "--no-floor",
+                "--overwrite",
                 "--live",
             ],
         ),
-        ("simulate", &["--from", "--frame", "--steps", "--accuracy", "--record"]),
+        ("simulate", &["--from", "--frame", "--steps", "--accuracy", "--record", "--overwrite"]),
         (
             "import",
             &[
@@ -621,6 +623,7 @@ fn help_names_every_option() {
                 "--box",
                 "--smoothing-length",
                 "--out",
+                "--overwrite",
                 "--json",
             ],
         ),

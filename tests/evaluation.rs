@@ -10,6 +10,7 @@ use place::Place;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use whirls::evaluation::{Candidate, Evaluation, Marks, Plan, Source, evaluate};
+use whirls::output::Output;
 use whirls::parameters::Parameter;
 use whirls::recording::{Flow, TrainStep};
 use whirls::report::{Cell, Report};
@@ -105,7 +106,9 @@ fn trained(scene: &Scene, folder: &Path) -> PathBuf {
     let mut learner = Learner::of_truth(scene, &lesson.truth).unwrap();
     let guess = learner.guess(scene.seed);
     let record = folder.join("learned.mcap");
-    let training = Training { scene, lesson: &lesson, record: &record, floor: false };
+    let output = Output::create(&record).unwrap();
+    let earlier = Vec::new();
+    let training = Training { scene, lesson: &lesson, record: output, earlier, floor: false };
     training.run(&mut learner, guess, &mut |_| {}).unwrap();
     record
 }

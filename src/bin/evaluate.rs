@@ -3,6 +3,8 @@
 mod common;
 #[path = "common/flow.rs"]
 mod flow;
+#[path = "common/meter.rs"]
+mod meter;
 
 use clap::Parser;
 use common::{conclude, say, say_json, warn};
@@ -11,10 +13,11 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use whirls::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
+use whirls::output::Output;
 use whirls::recording::Recording;
-use whirls::run::{EvaluationFiles, Origin, admit, must_be_trained, write_evaluation};
+use whirls::run::{EvaluationFiles, Guard, Origin, admit, must_be_trained, write_evaluation};
 use whirls::trade::settle;
-use whirls::{Error, Flow, Result, Scene};
+use whirls::{Error, Flow, Result, Scene, interrupt};
 
 /// Measures how well learned models know the flow: errors by horizon, by strength of the stirring and by
 /// Mach number, statistics, symmetries, equations of state; writes JSON, an HTML report and a recording.
@@ -86,6 +89,8 @@ fn positive(text: &str) -> std::result::Result<f64, String> {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     let threads = usize::from(arguments.threads.unwrap_or(0));
     // A second pool in one process would be a mistake of ours, and harmless.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -152,6 +157,7 @@ fn run<const D: usize>(
     scene: &Scene,
     recorded: Option<&Path>,
 ) -> Result<()> {
+    let _folder = reserve_folder(arguments)?;
     let choice = settle(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
     let scene = &choice.scene;
     let mut candidates = Vec::new();
@@ -179,6 +185,16 @@ fn run<const D: usize>(
     let files = write_evaluation(&evaluation, facts, (&arguments.out, record))?;
     describe(&files);
     if arguments.json { say_json(&summary(&evaluation, &files)) } else { Ok(()) }
+}
+
+/// The folder of the results, for this run alone.
+fn reserve_folder(arguments: &Arguments) -> Result<Output> {
+    let truth = arguments.truth.as_ref().map(Path::new);
+    let inputs: Vec<&Path> = arguments.learned.iter().map(PathBuf::as_path).chain(truth).collect();
+    let names = ["evaluation.json", "evaluation.html", "evaluation.mcap"];
+    let names = if arguments.no_record { &names[..2] } else { &names[..] };
+    let guard = Guard { command: "evaluate", inputs: &inputs, ..Guard::default() };
+    guard.reserve_folder(&arguments.out, names)
 }
 
 /// Consecutive pieces of a recorded flow: as long as is asked for or, where no length is, as the recording allows.

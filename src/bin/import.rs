@@ -4,10 +4,11 @@ mod common;
 
 use clap::Parser;
 use common::{conclude, say, say_json, warn};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use whirls::kernel::KernelChoice;
-use whirls::run::{Import, Imported, Origins};
+use whirls::output::Output;
+use whirls::run::{Guard, Import, Imported, Origins};
 use whirls::{Error, Result};
 
 /// Makes a recording of .npy arrays [frames, particles, dimension], or of point clouds in an MCAP file, to learn from
@@ -50,6 +51,9 @@ struct Arguments {
     /// The recording to write.
     #[arg(long, value_name = "truth.mcap")]
     out: PathBuf,
+    /// Let the recording replace any file that is no input, not only an earlier one of this command.
+    #[arg(long)]
+    overwrite: bool,
     /// Print one JSON object as the last line of standard output.
     #[arg(long)]
     json: bool,
@@ -68,6 +72,7 @@ fn import(arguments: Arguments) -> Result<()> {
 }
 
 fn import_of(arguments: Arguments) -> Result<Import> {
+    let out = reserve(&arguments)?;
     let Some(kernel) = KernelChoice::named(&arguments.kernel) else {
         let names = whirls::kernel::NAMES.join(", ");
         let remedy = "name one of them";
@@ -90,7 +95,7 @@ fn import_of(arguments: Arguments) -> Result<Import> {
         smoothing_length: arguments.smoothing_length,
         kernel,
         force: arguments.force,
-        out: arguments.out,
+        out,
     })
 }
 
@@ -109,4 +114,14 @@ fn describe(imported: &Imported) {
         "{dt:?} apart, moving as their velocities say to {:.1e}; densities {densities}",
         imported.miss
     ));
+}
+
+/// The recording's place.
+fn reserve(arguments: &Arguments) -> Result<Output> {
+    let Arguments { positions, velocities, densities, mcap, .. } = arguments;
+    let inputs = [positions.as_ref(), velocities.as_ref(), densities.as_ref(), mcap.as_ref()];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let overwrite = Some(arguments.overwrite);
+    let guard = Guard { command: "import", inputs: &inputs, overwrite, ..Guard::default() };
+    guard.reserve(&arguments.out)
 }

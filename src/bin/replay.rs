@@ -1,12 +1,17 @@
 //! `replay`: look at recordings, rescue them, list what is in them.
 
-use std::io::Write as _;
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
+use common::{conclude, say, say_json};
 use serde_json::{Value, json};
+#[cfg(feature = "viewer")]
+use whirls::output::must_differ;
 use whirls::recording::{Flow, Recording, recover};
+use whirls::run::{Guard, command_of};
 use whirls::{Error, Result};
 
 /// Looks at recordings: both flows, the course of learning, what the flow keeps.
@@ -43,16 +48,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match run(&arguments) {
-        Ok(report) => {
-            print(&report, arguments.json);
-            ExitCode::SUCCESS
-        }
-        Err(error) => {
-            complain(&format!("error: {error}"));
-            ExitCode::from(error.exit_code())
-        }
-    }
+    conclude(run(&arguments).and_then(|report| print(&report, arguments.json)))
 }
 
 fn run(arguments: &Arguments) -> Result<Value> {
@@ -77,6 +73,11 @@ fn one_file(arguments: &Arguments, option: &str) -> Result<()> {
 
 fn rescue(file: &Path, out: Option<&Path>) -> Result<Value> {
     let output = out.map_or_else(|| file.with_extension("recovered.mcap"), Path::to_owned);
+    // A recovered recording is one of the command that was killed.
+    if let Some(command) = command_of(file) {
+        let guard = Guard { command: &command, inputs: &[file], ..Guard::default() };
+        guard.check(&output)?;
+    }
     let recovered = recover(file, &output)?;
     Ok(json!({
         "recording": output.display().to_string(),
@@ -130,8 +131,10 @@ fn view(arguments: &Arguments) -> Result<Vec<Value>> {
         (None, Some(url)) => Target::Connect(url.clone()),
         (None, None) => Target::Spawn,
     };
-    if arguments.save.is_some() {
+    if let Some(path) = &arguments.save {
         one_file(arguments, "--save")?;
+        let inputs: Vec<&Path> = arguments.files.iter().map(PathBuf::as_path).collect();
+        must_differ(path, &inputs)?;
     }
     let each = arguments.files.iter().map(|file| {
         let recording = Recording::open(file)?;
@@ -165,18 +168,17 @@ fn view(arguments: &Arguments) -> Result<Vec<Value>> {
     ))
 }
 
-/// Prints the result; a reader that closes the pipe early is no failure.
-fn print(report: &Value, as_json: bool) {
-    let mut out = std::io::stdout().lock();
+fn print(report: &Value, as_json: bool) -> Result<()> {
     if as_json {
-        let _ = writeln!(out, "{report}");
-        return;
+        return say_json(report);
     }
-    for (key, value) in report.as_object().into_iter().flatten() {
-        let _ = writeln!(out, "{key}: {value}");
-    }
+    let lines = report.as_object().into_iter().flatten();
+    lines.for_each(|(key, value)| say(format!("{key}: {value}")));
+    Ok(())
 }
 
+#[cfg(feature = "viewer")]
+#[expect(clippy::print_stderr, reason = "a command warns here")]
 fn complain(text: &dyn std::fmt::Display) {
-    let _ = writeln!(std::io::stderr(), "{text}");
+    eprintln!("warning: {text}");
 }

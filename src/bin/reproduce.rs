@@ -1,16 +1,19 @@
 //! `reproduce`: the paper's evidence from nothing.
 
 mod common;
+#[path = "common/meter.rs"]
+mod meter;
 
 use clap::Parser;
 use common::{conclude, say, say_json};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
+use meter::Meter;
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use whirls::Result;
-use whirls::run::{Reproduction, Stage};
+use whirls::run::{Guard, Reproduction, Stage};
+use whirls::{Result, interrupt};
 
 /// Trains the six models of the hierarchy on three flows, evaluates them, and prints what they are worth
 /// beside the paper's numbers. Killed and started again, it goes on where it was.
@@ -37,6 +40,8 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     let threads = usize::from(arguments.threads.unwrap_or(0));
     // A second pool in one process would be a mistake of ours, and harmless.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -48,8 +53,16 @@ fn run(arguments: &Arguments) -> Result<()> {
     let folder = arguments.out.clone().unwrap_or_else(|| PathBuf::from("recordings").join(name));
     let (quick, seed) = (arguments.quick, arguments.seed);
     let reproduction = Reproduction { folder, quick, seed };
+    let guard = Guard { command: "reproduce", ..Guard::default() };
+    let names = ["reproduction.json", "reproduction.html"];
+    let _reserved = guard.reserve_folder(&reproduction.folder, &names)?;
     let clock = Instant::now();
-    let (done, fresh) = stages(&reproduction)?;
+    let (done, fresh) = interrupt::keep(stages(&reproduction), || {
+        let folder = reproduction.folder.display();
+        format!(
+            "the stages that are done are kept in {folder}; the same command goes on from there"
+        )
+    })?;
     let report = reproduction.conclude()?;
     let tables = report.tables.iter();
     tables.filter(|table| !table.name.ends_with("statistics")).for_each(|t| say(t.plain_text()));
@@ -79,11 +92,8 @@ fn stages(reproduction: &Reproduction) -> Result<(usize, usize)> {
             left.push((stage, reproduction.work(stage)?));
         }
     }
-    let bar = ProgressBar::new(left.iter().map(|(_, work)| work).sum());
     let template = "[{bar:30}] {percent}% ({elapsed}, {eta} left) {prefix} {msg}";
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style.progress_chars("=> "));
-    }
+    let bar = Meter::new(left.iter().map(|(_, work)| work).sum(), "reproduce", template);
     let mut reached = 0;
     for (k, &(stage, work)) in left.iter().enumerate() {
         let name = format!("{} of {}, {}", before + k + 1, all.len(), stage.name());

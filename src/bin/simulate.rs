@@ -3,19 +3,26 @@
 mod common;
 #[path = "common/flow.rs"]
 mod flow;
+#[path = "common/meter.rs"]
+mod meter;
 #[path = "common/scene.rs"]
 mod scene;
 
 use clap::Parser;
 use common::{conclude, say, say_json, warn};
 use flow::{in_dimension, progress};
-use scene::{SceneArguments, describe_choice, explain};
+use scene::{SceneArguments, describe_choice, explain, reserve};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
+use whirls::interrupt;
+use whirls::output::Output;
 use whirls::recording::{self, Level};
-use whirls::run::{Given, Requirements, admit_state, begin_recording, run_info, run_recorded};
+use whirls::run::{
+    Given, Guard, Requirements, admit_state, begin_recording, must_fit, run_info, run_recorded,
+    simulation_bytes,
+};
 use whirls::scene::Chosen;
 use whirls::statistics::conservation;
 use whirls::trade::settle;
@@ -44,9 +51,13 @@ struct Arguments {
     /// over twenty steps of the scene, as --set accuracy=LENGTHS; --explain shows what was tried.
     #[arg(long, value_name = "LENGTHS")]
     accuracy: Option<f64>,
-    /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing.
+    /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing. Until it is
+    /// complete the file is called PATH with `.unfinished` before its extension.
     #[arg(long, value_name = "PATH")]
     record: Option<PathBuf>,
+    /// Let the recording replace any file, not only an earlier one of this command.
+    #[arg(long)]
+    overwrite: bool,
     #[command(flatten)]
     common: SceneArguments,
 }
@@ -68,6 +79,8 @@ struct Report {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     let mut common = arguments.common.clone();
     let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
     common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
@@ -82,6 +95,9 @@ fn main() -> ExitCode {
 }
 
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    let output = reserve_output(arguments, scene)?;
+    must_fit(simulation_bytes::<D>(scene), scene, "take fewer fluid.particles_per_side")?;
+    let waiting = progress(0, "start");
     let (given, warnings) = match &arguments.from {
         None => (None, Vec::new()),
         Some(path) => {
@@ -99,19 +115,17 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     describe_choice(&choice, arguments.common.explain);
     let scene = &choice.scene;
     let mut flow = Flow::<D>::from_state(scene, &start(scene)?)?;
+    drop(waiting);
     if arguments.common.explain {
         flow.start()?;
         let found = Requirements::of_flow(scene, &mut flow, true);
         return explain(&[found], arguments.common.json);
     }
     let steps = scene.time.steps;
-    let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
-    let path = arguments.record.clone().unwrap_or(default);
-    let path = (scene.record.every > 0).then_some(path);
-    let mut recorder = path
-        .as_ref()
-        .map(|path| begin_recording(path, (&run_info(scene, "simulate"), scene), flow.time()))
-        .transpose()?;
+    let begin = |output: &Output| {
+        begin_recording(output.clone(), (&run_info(scene, "simulate"), scene), flow.time())
+    };
+    let mut recorder = output.as_ref().map(begin).transpose()?;
     if let Some(recorder) = &mut recorder {
         let log = |text| recorder.log(Level::Warning, flow.time(), text);
         warnings.into_iter().try_for_each(log)?;
@@ -127,10 +141,11 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let outcome = run_recorded(&mut flow, (steps, &scene.record), target, &mut |_| bar.inc(1));
     let seconds = clock.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    if let Some(recorder) = recorder {
-        recorder.finish()?;
-    }
-    outcome?;
+    let concluded = recorder.map(|recorder| recorder.conclude(&outcome)).transpose();
+    // What was recorded last is where it can be gone on from.
+    let recorded = flow.steps() - flow.steps() % scene.record.every.max(1);
+    interrupt::keep(outcome, || kept(output.as_ref(), recorded, steps))?;
+    concluded?;
     let after = conservation(&mut flow);
     let particles = flow.densities().len();
     let drift = before.momentum.iter().zip(&after.momentum).map(|(a, b)| (a - b).powi(2));
@@ -144,10 +159,34 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         energy_drift: (after.total_energy - before.total_energy) / before.total_energy,
         bytes_per_particle: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
         chosen: scene.chosen,
-        recording: path,
+        recording: output.map(|output| output.path().to_owned()),
     };
     describe(&report);
     if arguments.common.json { say_json(&report) } else { Ok(()) }
+}
+
+/// The recording's place, where there is one to be.
+fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
+    if arguments.common.explain || scene.record.every == 0 {
+        return Ok(None);
+    }
+    let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
+    let path = arguments.record.as_ref().unwrap_or(&default);
+    let inputs = [Some(Path::new(&arguments.scene)), arguments.from.as_deref()];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
+    let overwrite = Some(arguments.overwrite);
+    let guard = Guard { command: "simulate", inputs: &inputs, overwrite, ..Guard::default() };
+    reserve(&guard, path).map(Some)
+}
+
+/// What an interrupted run leaves, and how to go on.
+fn kept(output: Option<&Output>, done: u64, steps: u64) -> String {
+    let Some(output) = output else { return "nothing was to be recorded".to_owned() };
+    let (file, left) = (output.unfinished().display(), steps.saturating_sub(done));
+    format!(
+        "{done} of {steps} steps are in {file}, which is whole; to go on give the same command with --from {file} \
+         --steps {left}"
+    )
 }
 
 fn describe(report: &Report) {

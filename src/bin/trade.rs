@@ -3,6 +3,8 @@
 mod common;
 #[path = "common/flow.rs"]
 mod flow;
+#[path = "common/meter.rs"]
+mod meter;
 #[path = "common/scene.rs"]
 mod scene;
 
@@ -11,12 +13,13 @@ use common::{conclude, say, say_json};
 use flow::{in_dimension, progress};
 use scene::{SceneArguments, describe_choice, explain};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use whirls::run::{PriceFiles, Requirements, write_prices};
+use whirls::output::Output;
+use whirls::run::{Guard, PriceFiles, Requirements, write_prices};
 use whirls::trade::{Plan, Prices, price_flows, price_gradients, price_learning, report, settle};
 use whirls::truth::Truth;
-use whirls::{Flow, Result, Scene};
+use whirls::{Flow, Result, Scene, interrupt};
 
 /// Measures, on this machine, what every setting that buys speed costs in accuracy.
 #[derive(Parser)]
@@ -46,6 +49,8 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
         if arguments.common.print_scene {
             say(scene.to_toml());
@@ -66,6 +71,9 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         return explain(&[found], arguments.common.json);
     }
     let plan = plan(arguments);
+    let default = PathBuf::from(format!("recordings/trade-{}", scene.name));
+    let folder = arguments.out.clone().unwrap_or(default);
+    let _reserved = reserve_folder(arguments, &folder)?;
     let (after, frames) = scene.learn.as_ref().map_or((0, 0), |learn| (learn.after, learn.frames));
     let truth = Truth::<D>::generate(scene, (after, frames))?;
     let bar = progress(Plan::work(scene), "trade");
@@ -75,10 +83,9 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     };
     let prices = price(scene, &truth, plan, &mut tick);
     bar.finish_and_clear();
+    interrupt::check()?;
     let report = report((scene, plan), &prices?, facts(scene));
     report.tables.iter().for_each(|table| say(table.plain_text()));
-    let default = PathBuf::from(format!("recordings/trade-{}", scene.name));
-    let folder = arguments.out.clone().unwrap_or(default);
     let flows = (scene, &truth.states[0], plan.steps);
     let PriceFiles { json, html, recording } = write_prices(&report, flows, &folder)?;
     say(format!("report in {}", html.display()));
@@ -97,6 +104,13 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         "html": html,
         "recording": recording,
     }))
+}
+
+/// The folder of the results, for this run alone.
+fn reserve_folder(arguments: &Arguments, folder: &Path) -> Result<Output> {
+    let guard =
+        Guard { command: "trade", inputs: &[Path::new(&arguments.scene)], ..Guard::default() };
+    guard.reserve_folder(folder, &["prices.json", "prices.html", "prices.mcap"])
 }
 
 fn plan(arguments: &Arguments) -> Plan {

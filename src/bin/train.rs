@@ -5,6 +5,8 @@ mod check;
 mod common;
 #[path = "common/flow.rs"]
 mod flow;
+#[path = "common/meter.rs"]
+mod meter;
 #[path = "train/report.rs"]
 mod report;
 #[path = "common/scene.rs"]
@@ -15,14 +17,17 @@ use clap::Parser;
 use common::{conclude, say, say_json, warn};
 use flow::{in_dimension, progress};
 use report::describe;
-use scene::{SceneArguments, describe_choice, explain};
-use std::path::PathBuf;
+use scene::{SceneArguments, describe_choice, explain, reserve};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use whirls::interrupt;
 use whirls::learn::Learner;
+use whirls::output::Output;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
 use whirls::run::{
-    Given, Lesson, Progress, Requirements, Training, TrainingReport, earlier_guess, settle_training,
+    Earlier, Given, Guard, Lesson, Progress, Requirements, Training, TrainingReport, must_fit,
+    settle_training, training_bytes,
 };
 use whirls::{Error, Result, Scene};
 
@@ -40,12 +45,18 @@ struct Arguments {
     /// Take the recording of --truth even where it does not fit itself or the scene.
     #[arg(long, requires = "truth")]
     force: bool,
-    /// Where to record [default: recordings/SCENE.mcap].
+    /// Where to record [default: recordings/SCENE.mcap]. Until it is complete the file is called PATH with
+    /// `.unfinished` before its extension.
     #[arg(long, value_name = "PATH")]
     record: Option<PathBuf>,
-    /// Go on from the last parameters of an earlier recording.
+    /// Go on from the last parameters of an earlier recording, whole or not; its iterations become the first of
+    /// the new one.
     #[arg(long, value_name = "FILE.mcap")]
     resume: Option<PathBuf>,
+    /// Let the recording replace any file, not only an earlier one of this command; with --resume also the one
+    /// that is resumed, once the new one is complete.
+    #[arg(long)]
+    overwrite: bool,
     /// Compare forward gradient, adjoint and central differences at the first guess, and stop.
     #[arg(long)]
     check_gradient: bool,
@@ -64,6 +75,8 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
         if arguments.common.print_scene {
             say(scene.to_toml());
@@ -82,6 +95,9 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
             "add --features viewer, or run `replay` on the recording",
         ));
     }
+    let output = reserve_output(arguments, scene)?;
+    must_fit(training_bytes::<D>(scene), scene, LESS)?;
+    let waiting = progress(0, "truth");
     let force = arguments.force;
     let given = arguments.truth.as_deref().map(|path| Given { path, force });
     let choice = settle_training::<D>(scene, given)?;
@@ -89,24 +105,27 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let lesson = Lesson::<D>::new(scene, given)?;
     lesson.warnings.iter().for_each(|text| warn(text));
     let mut learner = Learner::of_truth(scene, &lesson.truth)?;
-    let guess = match &arguments.resume {
-        None => learner.guess(scene.seed),
-        Some(path) => earlier_guess(path, &learner)?,
+    let Earlier { steps, guess } = match &arguments.resume {
+        None => Earlier { steps: Vec::new(), guess: learner.guess(scene.seed) },
+        Some(path) => Earlier::open(path, &learner)?,
     };
+    drop(waiting);
     describe_choice(&choice, arguments.common.explain);
     if arguments.common.explain {
         let found = Requirements::of_training((scene, &lesson), (&mut learner, &guess))?;
         return explain(&found, arguments.common.json);
     }
-    if arguments.check_gradient || arguments.check_coupling {
+    let Some(record) = output else {
         // The memory of its sensitivities is wanted for others.
         drop(learner);
         return match arguments.check_gradient {
             true => check_gradient(scene, &lesson, (&guess, arguments.common.json)),
             false => check_coupling(scene, &lesson, (&guess, arguments.common.json)),
         };
-    }
-    let report = learn_and_record(arguments, scene, (&lesson, &mut learner), guess)?;
+    };
+    let floor = !arguments.no_floor;
+    let training = Training { scene, lesson: &lesson, record, earlier: steps, floor };
+    let report = learn_and_record(&training, &mut learner, guess)?;
     describe(&report);
     if arguments.common.json {
         say_json(&report)?;
@@ -114,16 +133,31 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     show_live(arguments, &report.recording)
 }
 
+/// What takes less memory.
+const LESS: &str = "take fewer fluid.particles_per_side, learn.frames or learn.mesh, or keep less of the way to an \
+                    adjoint with learn.storage = { checkpoints = 8 }";
+
+/// The recording's place, where there is one to be.
+fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
+    if arguments.common.explain || arguments.check_gradient || arguments.check_coupling {
+        return Ok(None);
+    }
+    let default = PathBuf::from(format!("recordings/{}.mcap", scene.name));
+    let path = arguments.record.as_ref().unwrap_or(&default);
+    let inputs = [Some(Path::new(&arguments.scene)), arguments.truth.as_deref()];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
+    let (continued, overwrite) = (arguments.resume.as_deref(), Some(arguments.overwrite));
+    let guard = Guard { command: "train", inputs: &inputs, continued, overwrite };
+    reserve(&guard, path).map(Some)
+}
+
 /// The training, with bars for the floor and for the search.
 fn learn_and_record<const D: usize>(
-    arguments: &Arguments,
-    scene: &Scene,
-    (lesson, learner): (&Lesson<D>, &mut Learner<D>),
+    training: &Training<'_, D>,
+    learner: &mut Learner<D>,
     guess: Vec<f64>,
 ) -> Result<TrainingReport> {
-    let default = || PathBuf::from(format!("recordings/{}.mcap", scene.name));
-    let record = arguments.record.clone().unwrap_or_else(default);
-    let training = Training { scene, lesson, record: &record, floor: !arguments.no_floor };
+    let lesson = training.lesson;
     let before = lesson.learn.warm_up.as_ref().map_or(0, |warm_up| warm_up.iterations);
     let bar = progress((before + lesson.learn.iterations) as u64, "train");
     let outcome = training.run(learner, guess, &mut |progress| match progress {

@@ -15,6 +15,7 @@ pub(crate) use measure::Rows;
 pub use state::{State, Stream, stream};
 
 use crate::error::{Error, Result};
+use crate::interrupt;
 use crate::models::{Medium, Model, ModelChoice};
 use crate::parameters::{Parameter, Parameters};
 use crate::scalar::WIDTH;
@@ -305,7 +306,9 @@ impl<const D: usize> Flow<D> {
     ///
     /// # Errors
     /// [`Error::Diverged`] where the flow can no longer be trusted; every later step repeats it.
+    /// [`Error::Interrupted`] where a signal has asked to stop.
     pub fn step(&mut self) -> Result<()> {
+        interrupt::check()?;
         self.start()?;
         self.take_census()?;
         let Self { advance, world, .. } = self;
@@ -317,14 +320,7 @@ impl<const D: usize> Flow<D> {
     fn verdict(&mut self) -> Result<()> {
         match &self.world.resource::<Failure>().0 {
             None => Ok(()),
-            Some(Error::Diverged { step, time, quantity, found, remedy }) => Err(Error::Diverged {
-                step: *step,
-                time: *time,
-                quantity: quantity.clone(),
-                found: found.clone(),
-                remedy: remedy.clone(),
-            }),
-            Some(other) => Err(Error::input("the flow", "to run", other, "see above")),
+            Some(error) => Err(error.again()),
         }
     }
 

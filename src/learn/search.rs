@@ -6,6 +6,7 @@
 use super::knowledge::Course;
 use super::{Evaluation, Iteration, Learner, Outcome};
 use crate::error::{Error, Result};
+use crate::interrupt;
 use crate::optimisers::{Adam, Rmsprop};
 use crate::scene::Optimiser;
 
@@ -73,6 +74,11 @@ impl<const D: usize> Learner<D> {
         guess: Vec<f64>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
+        // A trial that was interrupted is no iteration.
+        let watch = &mut |iteration: &Iteration<'_>| {
+            interrupt::check()?;
+            watch(iteration)
+        };
         let mut search = self.begin(guess, watch)?;
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
@@ -194,6 +200,8 @@ impl<const D: usize> Learner<D> {
         mut search: Search,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
+        // What an interrupted flow could not show is no finding.
+        interrupt::check()?;
         let (window, evaluation) = match (search.best.take(), search.reached.take()) {
             (Some(best), _) => (self.frames, self.go_back(&mut search, best, watch)?),
             (None, Some(reached)) => reached,
@@ -212,6 +220,7 @@ impl<const D: usize> Learner<D> {
             remarks: search.remarks,
         };
         let knowledge = self.knowledge(&evaluation, course);
+        interrupt::check()?;
         Ok(Outcome { evaluation, initial_loss, iterations: search.index, knowledge })
     }
 }

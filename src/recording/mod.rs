@@ -17,6 +17,9 @@
 //! row without a density, 56 bytes, is one of a flow whose densities are not known. Rows are read in the order of
 //! their ids. Such a file opens as it is in Rerun (0.36 and later) and in Foxglove.
 //!
+//! A file gets its name when it is complete, see [`crate::output`]: until then it is called `NAME.unfinished.mcap`, can
+//! be looked at, and is found by [`Recording::open`] where there is no file of the name yet.
+//!
 //! A particle message has a chunk of its own, so one frame can be read without its neighbours and
 //! numbers without any frame. Times are simulation times or counters, never the wall clock: equal
 //! inputs give equal bytes.
@@ -28,6 +31,7 @@ mod colour;
 pub mod dashboard;
 mod foreign;
 mod messages;
+mod orders;
 mod reader;
 mod recorder;
 mod recover;

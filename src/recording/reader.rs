@@ -36,14 +36,15 @@ pub struct LogLine {
 
 impl Recording {
     /// Opens a recording, also of a run that was killed: then what is there can be read, and
-    /// [`is_truncated`](Self::is_truncated) says so.
+    /// [`is_truncated`](Self::is_truncated) says so. Where no file has the name yet, the unfinished one is opened
+    /// ([`crate::output`]).
     ///
     /// # Errors
     /// [`Error::File`] if the file cannot be read, [`Error::Input`] if it is not an MCAP file, was
     /// not written by whirls, or is damaged.
     pub fn open(path: &Path) -> Result<Self> {
-        let place = path.display().to_string();
         let mut source = Source::open(path)?;
+        let place = source.path().display().to_string();
         source.complete()?;
         let Some(record) = source.record.take() else {
             return Err(no_metadata(&place));

@@ -1,17 +1,16 @@
 //! [`Recorder`]: the writer of a recording, on a thread of its own.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
-
-use prost::Message as _;
 
 use super::colour::Palette;
 use super::messages::{Conservation, Level, Log, TrainStep, Values};
+use super::orders::{Order, obey};
 use super::rows::{Particle, Title, write_row};
-use super::schemas::Schema;
-use super::sink::{Entry, Sink};
+use super::sink::Sink;
 use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
+use crate::output::Output;
 use crate::{Error, Result};
 
 /// How many messages may wait for the disk before the run waits for it.
@@ -31,10 +30,11 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 /// Particles become the bytes of their message at once, coloured, in one pass on all threads; checksums,
 /// compressing and writing happen on a thread of their own behind a queue of eight messages, from
 /// which the memory of each cloud comes back to be used again. When the disk cannot keep up the run
-/// waits, and no message is lost. A failure to write is returned by the next call, or by
-/// [`finish`](Self::finish). Dropping the recorder (also while a panic unwinds) completes the file; of a
-/// killed run everything up to the last chunk can be read, and [`checkpoint`](Self::checkpoint) ends a
-/// chunk. Equal inputs give equal bytes.
+/// waits, and no message is lost. A failure to write is returned by the next call, by those after it, and by
+/// [`finish`](Self::finish). The file has its final name only when it is finished, and an unfinished one until then,
+/// see [`Output`]. Dropping the recorder (also while a panic unwinds) makes it whole under that one; of a killed run
+/// everything up to the last chunk can be read, and [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give
+/// equal bytes.
 ///
 /// ```no_run
 /// use whirls::recording::{Flow, Frame, Recorder, RunInfo};
@@ -56,6 +56,7 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 /// ```
 #[derive(Debug)]
 pub struct Recorder {
+    /// Where the file is while it is written.
     path: PathBuf,
     dimension: usize,
     /// Fraction of the colour scale of each unit of speed.
@@ -65,29 +66,8 @@ pub struct Recorder {
     /// Clouds that have been written, to be written over.
     written: Receiver<Vec<u8>>,
     thread: Option<JoinHandle<Result<Summary>>>,
-}
-
-/// What the writing thread is told to do.
-enum Order {
-    /// An encoded cloud, with the times of its message.
-    Cloud {
-        topic: String,
-        times: (u64, u64),
-        message: Vec<u8>,
-    },
-    TrainStep(TrainStep),
-    Conservation(Conservation),
-    Log(Log),
-    Values {
-        topic: String,
-        values: Values,
-    },
-    Attachment {
-        name: String,
-        media_type: &'static str,
-        data: Vec<u8>,
-    },
-    Checkpoint(SyncSender<()>),
+    /// Why writing has stopped.
+    failed: Option<Error>,
 }
 
 impl Recorder {
@@ -95,27 +75,40 @@ impl Recorder {
     /// the one that is made.
     pub const MOST_BYTES: usize = (QUEUE + 2) * Frame::ROW;
 
-    /// Creates the file, and the folders it lies in, and begins it with what is known of the run.
+    /// Creates the file, and the folders it lies in, and begins it with what is known of the run. A file that has
+    /// the name is replaced when this one is finished.
     ///
     /// # Errors
-    /// [`Error::Input`] if `run` is impossible, [`Error::File`] if the file cannot be created.
+    /// [`Error::Input`] if `run` is impossible or another run writes the file, [`Error::File`] if it cannot be
+    /// created.
     pub fn create(path: &Path, run: &RunInfo) -> Result<Self> {
-        let mut sink = Sink::create(path, run.to_record()?, &run.scene_toml)?;
+        run.to_record()?;
+        Self::begin(Output::create(path)?, run)
+    }
+
+    /// Begins a file that was reserved before.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if `run` is impossible, [`Error::File`] if the file cannot be written.
+    pub fn begin(output: Output, run: &RunInfo) -> Result<Self> {
+        let path = output.unfinished().to_owned();
+        let mut sink = Sink::create(output, run.to_record()?, &run.scene_toml)?;
         sink.begin(&run.scene_toml)?;
         let (queue, orders) = sync_channel(QUEUE);
         let (back, written) = channel();
         let thread = std::thread::Builder::new()
             .name("recorder".into())
             .spawn(move || obey(sink, &orders, &back))
-            .map_err(|error| Error::write(path, error))?;
+            .map_err(|error| Error::write(&path, error))?;
         Ok(Self {
-            path: path.to_owned(),
+            path,
             dimension: run.dimension,
             per_speed: 1.0 / run.speed_scale,
             palette: Palette::new(),
             queue: Some(queue),
             written,
             thread: Some(thread),
+            failed: None,
         })
     }
 
@@ -270,12 +263,32 @@ impl Recorder {
         wait.recv().map_err(|_| self.failure())
     }
 
-    /// Completes the file.
+    /// Completes the file and gives it its final name.
     ///
     /// # Errors
     /// [`Error::File`] if writing has failed, now or earlier.
     pub fn finish(mut self) -> Result<Summary> {
+        self.order(Order::Finish)?;
         self.close()
+    }
+
+    /// Completes the file and leaves it under its unfinished name: that of a run which was interrupted.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed, now or earlier.
+    pub fn leave(mut self) -> Result<Summary> {
+        self.close()
+    }
+
+    /// Finishes the file of a run that ended, and leaves that of a run which was interrupted.
+    ///
+    /// # Errors
+    /// [`Error::File`] if writing has failed, now or earlier.
+    pub fn conclude<T>(self, outcome: &Result<T>) -> Result<Summary> {
+        match outcome {
+            Err(Error::Interrupted { .. }) => self.leave(),
+            _ => self.finish(),
+        }
     }
 
     /// Memory for a message: that of a cloud which has been written, where there is one.
@@ -301,12 +314,15 @@ impl Recorder {
 
     fn close(&mut self) -> Result<Summary> {
         drop(self.queue.take());
-        let fail = |reason: &str| Err(Error::write(&self.path, std::io::Error::other(reason)));
-        match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(result)) => result,
+        let fail = |reason: &str| Error::write(&self.path, std::io::Error::other(reason));
+        let error = match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(Ok(summary))) => return Ok(summary),
+            Some(Ok(Err(error))) => error,
             Some(Err(_)) => fail("the writing thread panicked"),
-            None => fail("writing has failed before"),
-        }
+            None => self.failed.take().unwrap_or_else(|| fail("writing has stopped")),
+        };
+        self.failed = Some(error.again());
+        Err(error)
     }
 }
 
@@ -344,134 +360,6 @@ fn own_topic(topic: &str) -> Result<()> {
     ))
 }
 
-/// The writing thread: obeys until the queue is closed, then completes the file.
-fn obey(mut sink: Sink, orders: &Receiver<Order>, written: &Sender<Vec<u8>>) -> Result<Summary> {
-    for order in orders {
-        match order {
-            Order::Cloud { topic, times, message } => {
-                write_cloud(&mut sink, &topic, times, &message)?;
-                // Nobody waits for the memory of the last clouds.
-                let _ = written.send(message);
-            }
-            Order::TrainStep(step) => {
-                let time = clock::ticks(step.iteration);
-                write(&mut sink, topic::TRAIN_STEP, (time, time), &step.encode_to_vec())?;
-            }
-            Order::Conservation(kept) => {
-                let times = (clock::nanoseconds(kept.time), clock::ticks(kept.step));
-                write(&mut sink, topic::CONSERVATION, times, &kept.encode_to_vec())?;
-            }
-            Order::Log(log) => {
-                let count = sink.count(topic::LOG);
-                let times = (clock::nanoseconds(log.simulation_time), clock::ticks(count));
-                write(&mut sink, topic::LOG, times, &log.encode_to_vec())?;
-            }
-            Order::Values { topic, values } => {
-                let schema = Schema::Values;
-                sink.channel(&topic, schema.name(), || schema.descriptors())?;
-                let times = (clock::nanoseconds(values.time), clock::ticks(values.step));
-                write(&mut sink, &topic, times, &values.encode_to_vec())?;
-            }
-            Order::Attachment { name, media_type, data } => {
-                sink.attach(&name, media_type, &data)?;
-            }
-            Order::Checkpoint(done) => {
-                sink.flush()?;
-                // Whoever asked may have gone; the flush is done all the same.
-                let _ = done.send(());
-            }
-        }
-    }
-    sink.finish()
-}
-
-fn write(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
-    let (log_time, publish_time) = times;
-    sink.write(&Entry { topic, log_time, publish_time, data, alone: false })
-}
-
-fn write_cloud(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
-    let schema = Schema::PointCloud;
-    sink.channel(topic, schema.name(), || schema.descriptors())?;
-    let (log_time, publish_time) = times;
-    sink.write(&Entry { topic, log_time, publish_time, data, alone: true })
-}
-
 #[cfg(test)]
-mod tests {
-    use super::super::Recording;
-    use super::*;
-    use std::sync::atomic::{AtomicUsize, Ordering};
-
-    const PARTICLES: usize = 300;
-    const FRAMES: usize = 60;
-
-    fn frame(step: usize) -> Frame {
-        let rows = (0..PARTICLES).map(|k| [k as f64, step as f64, (k * step) as f64]);
-        Frame::new(step as u64, step as f64, rows.clone(), rows, vec![1.0; PARTICLES])
-    }
-
-    fn recorder(path: &Path) -> Result<Recorder> {
-        let run = RunInfo {
-            scene_toml: "name = \"test\"\n".into(),
-            dimension: 3,
-            box_length: 1.0,
-            speed_scale: 1.0,
-            parameters: vec![],
-            metadata: Default::default(),
-        };
-        Recorder::create(path, &run)
-    }
-
-    #[test]
-    fn no_frame_is_lost_and_memory_stays_bounded_when_the_disk_stands_still() -> Result<()> {
-        let folder = std::env::temp_dir().join(format!("whirls-still-{}", std::process::id()));
-        let path = folder.join("still.mcap");
-        let mut recorder = recorder(&path)?;
-        // The writing thread waits here until somebody takes its answer.
-        let (done, wait) = sync_channel(0);
-        recorder.order(Order::Checkpoint(done))?;
-        let accepted = AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            let run = scope.spawn(|| -> Result<()> {
-                for step in 0..FRAMES {
-                    recorder.frame(Flow::Truth, frame(step))?;
-                    accepted.fetch_add(1, Ordering::SeqCst);
-                }
-                recorder.checkpoint()
-            });
-            while accepted.load(Ordering::SeqCst) < QUEUE - 1 {
-                std::thread::yield_now();
-            }
-            std::thread::sleep(std::time::Duration::from_millis(50));
-            assert!(accepted.load(Ordering::SeqCst) <= QUEUE, "the run waits for the disk");
-            assert!(wait.recv().is_ok());
-            run.join().unwrap_or_else(|_| panic!("the run panicked"))
-        })?;
-        // All the memory that was ever made has come back.
-        let made: Vec<Vec<u8>> = recorder.written.try_iter().collect();
-        let bytes: usize = made.iter().map(Vec::capacity).sum();
-        assert!(made.len() <= QUEUE + 2, "{} clouds in memory", made.len());
-        assert!(bytes <= PARTICLES * Recorder::MOST_BYTES + made.len() * 512, "{bytes} bytes");
-        recorder.finish()?;
-        let recording = Recording::open(&path)?;
-        assert_eq!(recording.frame_count(Flow::Truth), FRAMES);
-        for step in 0..FRAMES {
-            assert_eq!(recording.frame(Flow::Truth, step)?, frame(step));
-        }
-        std::fs::remove_dir_all(folder).map_err(|error| Error::write(&path, error))
-    }
-
-    #[test]
-    fn a_disk_that_keeps_up_is_given_the_same_memory_again() -> Result<()> {
-        let folder = std::env::temp_dir().join(format!("whirls-again-{}", std::process::id()));
-        let mut recorder = recorder(&folder.join("again.mcap"))?;
-        for step in 0..FRAMES {
-            recorder.frame(Flow::Truth, frame(step))?;
-            recorder.checkpoint()?;
-        }
-        assert_eq!(recorder.written.try_iter().count(), 1);
-        recorder.finish()?;
-        std::fs::remove_dir_all(&folder).map_err(|error| Error::write(&folder, error))
-    }
-}
+#[path = "recorder_tests.rs"]
+mod tests;

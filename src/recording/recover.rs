@@ -1,7 +1,7 @@
 //! [`recover`]: what a killed run left, as a complete file.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use prost::Message as _;
 
@@ -12,6 +12,7 @@ use super::sink::{Entry, Sink};
 use super::source::Source;
 use super::wire::{ChannelRecord, MessageRecord, SchemaRecord, opcode};
 use super::{Summary, topic};
+use crate::output::{Output, must_differ};
 use crate::{Error, Result};
 
 /// What [`recover`] brought over.
@@ -35,34 +36,26 @@ pub struct Recovered {
 /// recording, or input and output are the same file. Where no frame of particles is whole nothing is written, and
 /// the error is one of a run that failed.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
-    if std::fs::canonicalize(output).is_ok_and(|to| std::fs::canonicalize(input).ok() == Some(to)) {
-        return Err(Error::input(
-            output.display(),
-            "an output other than the input",
-            "the same file",
-            "name another file",
-        ));
-    }
+    must_differ(output, &[input])?;
     let mut source = Source::open(input)?;
     let place = input.display().to_string();
     let record = source.record.take().ok_or_else(|| no_metadata(&place))?;
     let mut copy = Copy::default();
     let scene = copy.scene(&source);
-    let unfinished = unfinished_name(output);
-    let mut sink = Sink::create(&unfinished, record, &scene)?;
-    sink.begin(&scene)?;
-    let copied = copy.chunks(&source, &mut sink);
-    let finished = sink.finish();
-    let kept = copied.and(finished).and_then(|summary| match copy.frames {
-        0 => Err(nothing(input, source.chunks.len(), copy.lost)),
-        _ => Ok(summary),
+    // The input may be what a killed run left of this very output.
+    let output = Output::beside(output)?;
+    let copied = Sink::create(output.clone(), record, &scene).and_then(|mut sink| {
+        sink.begin(&scene)?;
+        copy.chunks(&source, &mut sink)?;
+        match copy.frames {
+            0 => Err(nothing(input, source.chunks.len(), copy.lost)),
+            _ => sink.finish(true),
+        }
     });
-    if kept.is_err() {
-        // The reason is in the error; a file that cannot be taken away is no other one.
-        let _ = std::fs::remove_file(&unfinished);
+    if copied.is_err() {
+        output.discard();
     }
-    let Summary { messages, bytes } = kept?;
-    std::fs::rename(&unfinished, output).map_err(|error| Error::write(output, error))?;
+    let Summary { messages, bytes } = copied?;
     Ok(Recovered { messages, chunks: source.chunks.len() as u64, chunks_lost: copy.lost, bytes })
 }
 
@@ -75,13 +68,6 @@ fn nothing(input: &Path, chunks: usize, lost: u64) -> Error {
         source: std::io::Error::other(found),
         remedy: "nothing was written; run what recorded it again",
     }
-}
-
-/// The name of the output while it is written.
-fn unfinished_name(output: &Path) -> PathBuf {
-    let mut name = output.as_os_str().to_owned();
-    name.push(".unfinished");
-    name.into()
 }
 
 /// What has been met on the way through the input.

@@ -14,6 +14,7 @@ use super::cloud::WORLD;
 use super::messages::{FrameTransform, FrameTransforms, Quaternion, Scene, Vector3};
 use super::schemas::Schema;
 use super::{RUN, Summary, topic};
+use crate::output::Output;
 use crate::{Error, Result};
 
 /// A chunk of small messages is closed when it holds more bytes than this.
@@ -34,8 +35,10 @@ struct Channel {
     messages: u32,
 }
 
-/// An MCAP file being written. Dropped, it is finished; killed, it can be read up to the last chunk.
+/// An MCAP file being written. Dropped, it is whole, but unfinished by name; killed, it can be read up to the last
+/// chunk.
 pub(super) struct Sink {
+    output: Output,
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
     channels: BTreeMap<String, Channel>,
@@ -44,22 +47,19 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Creates the file (and its folder) and writes the metadata record and the scene attachment.
+    /// Writes the metadata record and the scene attachment.
     pub(super) fn create(
-        path: &Path,
+        output: Output,
         record: BTreeMap<String, String>,
         scene_toml: &str,
     ) -> Result<Self> {
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|error| Error::write(folder, error))?;
-        }
-        let file = File::create(path).map_err(|error| Error::write(path, error))?;
+        let (file, path) = (output.file()?, output.unfinished());
         let flat = record.get("dimension").is_some_and(|dimension| dimension == "2");
         let writer = options(flat).create(BufWriter::new(file));
         let writer = writer.map_err(|error| written(path, error))?;
         let channels = BTreeMap::new();
         let path = path.to_owned();
-        let mut sink = Self { path, writer, channels, open_bytes: 0, messages: 0 };
+        let mut sink = Self { output, path, writer, channels, open_bytes: 0, messages: 0 };
         sink.attempt(|writer| {
             writer.write_metadata(&Metadata { name: RUN.into(), metadata: record })?;
             writer.attach(&attachment("scene.toml", "text/plain", scene_toml.as_bytes()))?;
@@ -151,13 +151,16 @@ impl Sink {
         self.attempt(Writer::flush)
     }
 
-    /// Completes the file.
-    pub(super) fn finish(mut self) -> Result<Summary> {
+    /// Completes the file and, where `named`, gives it its final name.
+    pub(super) fn finish(mut self, named: bool) -> Result<Summary> {
         self.attempt(|writer| writer.finish().map(drop))?;
-        let Self { path, writer, messages, .. } = self;
+        let Self { output, path, writer, messages, .. } = self;
         let file = writer.into_inner().into_inner();
         let file = file.map_err(|error| Error::write(&path, error.into_error()))?;
         let bytes = file.metadata().map_err(|error| Error::write(&path, error))?.len();
+        if named {
+            output.complete()?;
+        }
         Ok(Summary { bytes, messages })
     }
 

@@ -18,6 +18,7 @@ use super::wire::{
     opcode,
 };
 use super::{DAMAGED, RUN};
+use crate::output::readable;
 use crate::{Error, Result};
 
 /// No chunk is unpacked to more bytes than this.
@@ -56,11 +57,12 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Walks the file.
+    /// Walks the file or, where there is none of that name yet, the unfinished one.
     ///
     /// # Errors
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file.
     pub(super) fn open(path: &Path) -> Result<Self> {
+        let path = &readable(path);
         let failed = |error| Error::read(path, error);
         let mut walk = Walk::open(path)?;
         walk.begin()?;
@@ -82,6 +84,11 @@ impl Source {
             source.note(code, length, &mut walk)?;
         }
         Ok(source)
+    }
+
+    /// The file that is read.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Takes one record of the file into account.

@@ -1,8 +1,10 @@
 //! Where an evaluation is written to: JSON, page, figures, recording.
 
 use super::{frame, run_info};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::evaluation::{Course, Errors, Evaluation};
+use crate::interrupt;
+use crate::output::Output;
 use crate::recording::{self, Recorder, Values};
 use crate::report::Report;
 use std::path::{Path, PathBuf};
@@ -24,12 +26,14 @@ pub struct EvaluationFiles {
 /// `evaluation.mcap` into a folder.
 ///
 /// # Errors
-/// [`Error::File`] where something cannot be written.
+/// [`crate::Error::File`] where something cannot be written, [`crate::Error::Interrupted`] where the evaluation is
+/// not whole because a signal asked to stop.
 pub fn write_evaluation<const D: usize>(
     evaluation: &Evaluation<D>,
     facts: Vec<(String, String)>,
     (folder, record): (&Path, bool),
 ) -> Result<EvaluationFiles> {
+    interrupt::check()?;
     let report = evaluation.report(facts)?;
     let [json, html] = ["evaluation.json", "evaluation.html"].map(|name| folder.join(name));
     write(&json, &report.json()?)?;
@@ -47,14 +51,9 @@ pub fn write_evaluation<const D: usize>(
 /// Writes a file, and the folders it lies in, in one piece: a reader never meets half of it.
 ///
 /// # Errors
-/// [`Error::File`] where it cannot be written.
+/// As [`Output::write`].
 pub fn write(path: &Path, text: &str) -> Result<()> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(|error| Error::write(folder, error))?;
-    }
-    let unfinished = path.with_extension("unfinished");
-    std::fs::write(&unfinished, text).map_err(|error| Error::write(&unfinished, error))?;
-    std::fs::rename(&unfinished, path).map_err(|error| Error::write(path, error))
+    Output::write(path, text.as_bytes())
 }
 
 /// Records the first realisation: the truth and every learned flow on one clock, their errors by step,

@@ -5,6 +5,7 @@ use crate::arrays::Array;
 use crate::error::{Error, Result};
 use crate::flow::State;
 use crate::kernel::KernelChoice;
+use crate::output::Output;
 use crate::recording::{Clouds, Flow, Frame, Numbered, Recorder, RunInfo};
 use crate::space::PeriodicBox;
 use crate::truth::Truth;
@@ -49,7 +50,7 @@ pub struct Import {
     /// Whether what contradicts itself is taken all the same.
     pub force: bool,
     /// The recording to write.
-    pub out: PathBuf,
+    pub out: Output,
 }
 
 /// What was imported.
@@ -191,7 +192,8 @@ impl Import {
         let densities = self.densities(&mut truth, space, &mut findings)?;
         let dt = truth.states.get(1).map_or(0.0, |second| second.time - truth.states[0].time);
         let dt = self.dt.unwrap_or(dt);
-        let mut recorder = Recorder::create(&self.out, &self.run_info(&truth, dt, densities))?;
+        let mut recorder =
+            Recorder::begin(self.out.clone(), &self.run_info(&truth, dt, densities))?;
         for (k, (state, densities)) in truth.states.iter().zip(&truth.densities).enumerate() {
             let inside = |r: &Vector<f64, D>| space.wrap(*r).0;
             recorder.frame(
@@ -214,7 +216,7 @@ impl Import {
             densities,
             miss: self.share(&truth),
             warnings: findings.warnings,
-            recording: self.out.clone(),
+            recording: self.out.path().to_owned(),
         })
     }
 

@@ -22,8 +22,11 @@ pub struct TrainingReport {
     pub chosen: Option<Chosen>,
     /// How the gradient was found.
     pub gradient: String,
-    /// Iterations of the search.
+    /// Iterations of the search, those of an earlier recording that it went on from included.
     pub iterations: usize,
+    /// How many of them the earlier recording had; none where the search began anew.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations_before: Option<usize>,
     /// Loss of the guess; infinite, and `null` in JSON, where its flow diverges.
     #[serde(deserialize_with = "infinite_or")]
     pub loss_initial: f64,

@@ -2,9 +2,11 @@
 
 pub mod door;
 mod evaluated;
+mod guard;
 mod import;
 mod learned;
 mod lesson;
+mod memory;
 mod origin;
 mod priced;
 mod reproduction;
@@ -13,24 +15,26 @@ mod training;
 
 pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
+pub use guard::{Guard, command_of};
 pub use import::{Import, Imported, Origins};
 pub use learned::{Losses, Seconds, TrainingReport};
 pub use lesson::{Lesson, settle_training};
+pub use memory::{Room, must_fit, simulation_bytes, training_bytes};
 pub use origin::{Origin, must_be_trained};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};
 pub use requirements::Requirements;
-pub use training::{Progress, Training, earlier_guess, what};
+pub use training::{Earlier, Progress, Training, what};
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flow::{Flow, Rows, State, in_pool};
+use crate::output::Output;
 use crate::recording::{self, Frame, Level, Recorder, Recording, RunInfo};
 use crate::scene::{Record, Scene};
 use crate::statistics;
 use crate::truth::Truth;
 use crate::vector::Vector;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// What a recording says about the run that writes it.
 pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
@@ -69,13 +73,13 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
 /// Begins a recording: what is known of the run and, in its log, which step was chosen for it.
 ///
 /// # Errors
-/// As [`Recorder::create`].
+/// As [`Recorder::begin`].
 pub fn begin_recording(
-    path: &Path,
+    output: Output,
     (info, scene): (&RunInfo, &Scene),
     time: f64,
 ) -> Result<Recorder> {
-    let mut recorder = Recorder::create(path, info)?;
+    let mut recorder = Recorder::begin(output, info)?;
     if let Some(chosen) = scene.chosen {
         recorder.log(Level::Info, time, chosen.to_string())?;
     }
@@ -115,7 +119,7 @@ fn record_now<const D: usize>(
 /// the recording.
 ///
 /// # Errors
-/// [`Error::Diverged`] from the flow, [`Error::File`] from the recorder.
+/// [`Error::Diverged`] and [`Error::Interrupted`] from the flow, [`Error::File`] from the recorder.
 pub fn run_recorded<const D: usize>(
     flow: &mut Flow<D>,
     (steps, record): (u64, &Record),
@@ -147,9 +151,19 @@ pub fn run_recorded<const D: usize>(
         Ok(outcome)
     })?;
     if let (Err(error), Some(recorder)) = (&outcome, &mut recorder) {
-        recorder.log(Level::Error, flow.time(), error.to_string())?;
+        recorder.log(Level::Error, flow.time(), what_stopped(error))?;
     }
     outcome
+}
+
+/// A failure as a line of the log.
+fn what_stopped(error: &Error) -> String {
+    match error {
+        Error::Interrupted { .. } => {
+            "interrupted: the recording ends before the run would have".into()
+        }
+        other => other.to_string(),
+    }
 }
 
 /// The true states in a recording, to learn from, where they fit themselves and the scene; [`admit`] also says what

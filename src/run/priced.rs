@@ -3,6 +3,7 @@
 use super::{frame, run_info, write};
 use crate::error::Result;
 use crate::flow::{Flow, State};
+use crate::interrupt;
 use crate::recording::{self, Level, Recorder, Values};
 use crate::report::Report;
 use crate::scene::Scene;
@@ -30,12 +31,13 @@ pub struct PriceFiles {
 ///
 /// # Errors
 /// [`crate::Error::File`] where something cannot be written, [`crate::Error::Diverged`] where the reference
-/// does not hold.
+/// does not hold, [`crate::Error::Interrupted`] where the prices are not whole because a signal asked to stop.
 pub fn write_prices<const D: usize>(
     report: &Report,
     (scene, start, steps): (&Scene, &State<D>, u64),
     folder: &Path,
 ) -> Result<PriceFiles> {
+    interrupt::check()?;
     let [json, html, recording] =
         ["prices.json", "prices.html", "prices.mcap"].map(|name| folder.join(name));
     write(&json, &report.json()?)?;
@@ -110,6 +112,7 @@ fn record_beside<const D: usize>(
             continue;
         }
         if let Err(error) = if step == 0 { flow.start() } else { flow.step() } {
+            interrupt::check()?;
             recorder.log(Level::Warning, truth.time, format!("{name}: {error}"))?;
             lost.push(name.clone());
             continue;

@@ -4,6 +4,7 @@ use super::{Lesson, Progress, Training, TrainingReport, write, write_evaluation}
 use crate::error::{Error, Result};
 use crate::evaluation::{Candidate, Plan, Source, evaluate};
 use crate::learn::Learner;
+use crate::output::Output;
 use crate::report::Report;
 use crate::scene::{Forcing, Optimiser, Scene, SpinUp, Weights};
 use serde::{Deserialize, Serialize};
@@ -226,8 +227,9 @@ impl Reproduction {
         let lesson = Lesson::<3>::new(&scene, None)?;
         let mut learner = Learner::of_truth(&scene, &lesson.truth)?;
         let guess = learner.guess(scene.seed);
-        let record = self.file(study, &format!("{model}.mcap"));
-        let training = Training { scene: &scene, lesson: &lesson, record: &record, floor: false };
+        let record = Output::create(&self.file(study, &format!("{model}.mcap")))?;
+        let (lesson, scene, earlier) = (&lesson, &scene, Vec::new());
+        let training = Training { scene, lesson, record, earlier, floor: false };
         let most = lesson.learn.iterations as f64;
         let report = training.run(&mut learner, guess, &mut |progress| {
             if let Progress::Iteration(iteration) = progress {

@@ -1,11 +1,14 @@
 //! A training from beginning to end: truth, search, learned flow, all of it recorded.
 
 use super::{
-    Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, run_info, run_recorded,
+    Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, run_info,
+    run_recorded, what_stopped,
 };
 use crate::error::{Error, Result};
 use crate::flow::Flow;
+use crate::interrupt;
 use crate::learn::{Evaluation, Iteration, Learner, Outcome};
+use crate::output::Output;
 use crate::parameters::Parameter;
 use crate::recording::{self, Level, Recorder, Recording, TrainStep};
 use crate::scene::Scene;
@@ -38,7 +41,9 @@ pub struct Training<'a, const D: usize> {
     /// What from.
     pub lesson: &'a Lesson<D>,
     /// Where it is recorded.
-    pub record: &'a Path,
+    pub record: Output,
+    /// The iterations that it goes on from; none where it begins anew.
+    pub earlier: Vec<TrainStep>,
     /// Whether the sampling floor is measured, too: two more runs of the truth.
     pub floor: bool,
 }
@@ -48,7 +53,8 @@ impl<const D: usize> Training<'_, D> {
     ///
     /// # Errors
     /// [`Error::Diverged`] where the search meets no flow that can be trusted, [`Error::File`] from the
-    /// recorder.
+    /// recorder, [`Error::Interrupted`] where a signal has asked to stop: then the recording is whole up to there,
+    /// under its unfinished name.
     pub fn run(
         &self,
         learner: &mut Learner<D>,
@@ -56,7 +62,13 @@ impl<const D: usize> Training<'_, D> {
         watch: &mut dyn FnMut(Progress<'_>),
     ) -> Result<TrainingReport> {
         let mut recorder = self.record_truth(learner)?;
-        let kl_floor = self.measure_floor(&mut recorder, watch)?;
+        let mut recorded = self.earlier.len();
+        let watch = &mut |progress: Progress<'_>| {
+            recorded += usize::from(matches!(progress, Progress::Iteration(_)));
+            watch(progress);
+        };
+        let floor = self.measure_floor(&mut recorder, watch);
+        let kl_floor = interrupt::keep(floor, || self.kept(self.earlier.len()))?;
         recorder.checkpoint()?;
         let clock = Instant::now();
         let outcome = self.search(learner, guess, (&mut recorder, watch)).and_then(|outcome| {
@@ -68,28 +80,43 @@ impl<const D: usize> Training<'_, D> {
                 Level::Info,
                 format!("loss {:.2e} after {} iterations", o.evaluation.loss, o.iterations),
             ),
-            Err(error) => (Level::Error, error.to_string()),
+            Err(error) => (Level::Error, what_stopped(error)),
         };
         let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
         recorder.log(level, end, text)?;
         if let Ok((outcome, _)) = &outcome {
             self.record_knowledge(learner, outcome, &mut recorder)?;
         }
-        recorder.finish()?;
+        recorder.conclude(&outcome)?;
+        let outcome = interrupt::keep(outcome, || self.kept(recorded));
         let seconds = Seconds { truth: self.lesson.seconds, train: clock.elapsed().as_secs_f64() };
         let (outcome, pressure_error) = outcome?;
         let report = self.report(learner, &outcome, seconds);
         Ok(TrainingReport { kl_floor, pressure_error, ..report })
     }
 
-    /// Begins a recording: the truth, and what is to be learned from it.
+    /// What a search leaves that was interrupted after so many recorded iterations, and how to go on.
+    fn kept(&self, recorded: usize) -> String {
+        let file = self.record.unfinished().display();
+        if recorded == 0 {
+            return format!(
+                "the truth is in {file}, which is whole; no iteration was complete, so begin again"
+            );
+        }
+        format!(
+            "truth and search up to here are in {file}, which is whole; to go on give the same command with \
+             --resume {file}"
+        )
+    }
+
+    /// Begins a recording: the truth, what is to be learned from it, and what an earlier search found.
     fn record_truth(&self, learner: &Learner<D>) -> Result<Recorder> {
         let Self { scene, lesson, record, .. } = self;
         let mut info = run_info(scene, "train");
         info.parameters = learner.columns().iter().map(Parameter::to_string).collect();
         info.metadata.extend(lesson.origin.iter().flat_map(Origin::metadata));
         let start = lesson.truth.states[0].time;
-        let mut recorder = begin_recording(record, (&info, scene), start)?;
+        let mut recorder = begin_recording(record.clone(), (&info, scene), start)?;
         let every = lesson.learn.every;
         for text in &lesson.warnings {
             recorder.log(Level::Warning, start, text)?;
@@ -103,7 +130,17 @@ impl<const D: usize> Training<'_, D> {
         let steps = lesson.learn.steps();
         let text = format!("learning {what} from {steps} steps, gradient: {gradient}");
         recorder.log(Level::Info, start, text)?;
+        if let Some(before) = self.iterations_before() {
+            let text = format!("going on from iteration {before} of an earlier recording");
+            recorder.log(Level::Info, start, text)?;
+        }
+        self.earlier.iter().try_for_each(|step| recorder.train_step(step.clone()))?;
         Ok(recorder)
+    }
+
+    /// The last iteration of the search that this one goes on from.
+    fn iterations_before(&self) -> Option<usize> {
+        self.earlier.last().map(|last| last.iteration as usize)
     }
 
     /// The sampling floor of the statistical loss, also in the log, from the truth and two more of other
@@ -126,6 +163,7 @@ impl<const D: usize> Training<'_, D> {
         };
         let found = other(1)
             .and_then(|second| statistical_floor(&[truth, &second, &other(2)?], self.scene, learn));
+        interrupt::check()?;
         let (level, text) = match &found {
             Ok(floor) => {
                 (Level::Info, format!("sampling floor of the statistical loss {floor:.2e}"))
@@ -146,7 +184,10 @@ impl<const D: usize> Training<'_, D> {
         let mut steady = learner.evaluate(&guess, 1).ok().map(|first| steepness(&first));
         learner.run(guess, &mut |iteration: &Iteration<'_>| {
             watch(Progress::Iteration(iteration));
-            recorder.train_step(self.train_step(iteration))?;
+            // Where an earlier search ended is where this one begins.
+            if iteration.index > 0 || self.earlier.is_empty() {
+                recorder.train_step(self.train_step(iteration))?;
+            }
             if let Some(text) = steady.and_then(|steady| growth_warning(iteration, steady)) {
                 watch(Progress::Warning(&text));
                 recorder.log(Level::Warning, start, text)?;
@@ -154,7 +195,8 @@ impl<const D: usize> Training<'_, D> {
                 steady = None;
             }
             if let Some(note) = &iteration.note {
-                let text = format!("iteration {}: {note}", iteration.index);
+                let index = self.iterations_before().unwrap_or(0) + iteration.index;
+                let text = format!("iteration {index}: {note}");
                 recorder.log(Level::Warning, start, text)?;
             }
             recorder.checkpoint()
@@ -164,7 +206,7 @@ impl<const D: usize> Training<'_, D> {
     fn train_step(&self, iteration: &Iteration<'_>) -> TrainStep {
         let evaluation = iteration.evaluation;
         TrainStep {
-            iteration: iteration.index as u64,
+            iteration: (self.iterations_before().unwrap_or(0) + iteration.index) as u64,
             loss: evaluation.loss,
             loss_trajectory: evaluation.trajectory,
             loss_field: evaluation.field,
@@ -245,13 +287,14 @@ impl<const D: usize> Training<'_, D> {
             steps: self.lesson.learn.steps() as usize,
             chosen: self.scene.chosen,
             gradient: learner.gradient().name().to_owned(),
-            iterations: outcome.iterations,
+            iterations: self.iterations_before().unwrap_or(0) + outcome.iterations,
+            iterations_before: self.iterations_before(),
             loss_initial: outcome.initial_loss,
             loss_final: evaluation.loss,
             parameters: named(&evaluation.parameters),
             truth: self.lesson.known.as_deref().map(named),
             seconds,
-            recording: self.record.to_owned(),
+            recording: self.record.path().to_owned(),
             losses: Losses {
                 trajectory: evaluation.trajectory,
                 field: evaluation.field,
@@ -295,21 +338,32 @@ pub fn what<const D: usize>(learner: &Learner<D>) -> String {
     names.join(", ")
 }
 
-/// The last parameters of an earlier recording, to go on from.
-///
-/// # Errors
-/// [`Error::Input`] where that recording learned something else.
-pub fn earlier_guess<const D: usize>(path: &Path, learner: &Learner<D>) -> Result<Vec<f64>> {
-    let earlier = Recording::open(path)?;
-    let names: Vec<String> = learner.columns().iter().map(Parameter::to_string).collect();
-    let steps = earlier.train_steps()?;
-    match steps.last() {
-        Some(last) if earlier.run().parameters == names => Ok(last.parameters.clone()),
-        _ => Err(Error::input(
-            path.display(),
-            format!("at least one iteration over {}", what(learner)),
-            format!("{} iterations over {}", steps.len(), earlier.run().parameters.join(", ")),
-            "resume with the scene that wrote the recording",
-        )),
+/// An earlier search, to go on from.
+#[derive(Clone, Debug)]
+pub struct Earlier {
+    /// All its iterations, in order.
+    pub steps: Vec<TrainStep>,
+    /// The parameters of the last.
+    pub guess: Vec<f64>,
+}
+
+impl Earlier {
+    /// That of a recording, also of one that was cut short.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where that recording learned something else.
+    pub fn open<const D: usize>(path: &Path, learner: &Learner<D>) -> Result<Self> {
+        let earlier = Recording::open(path)?;
+        let names: Vec<String> = learner.columns().iter().map(Parameter::to_string).collect();
+        let steps = earlier.train_steps()?;
+        match steps.last().map(|last| last.parameters.clone()) {
+            Some(guess) if earlier.run().parameters == names => Ok(Self { steps, guess }),
+            _ => Err(Error::input(
+                path.display(),
+                format!("at least one iteration over {}", what(learner)),
+                format!("{} iterations over {}", steps.len(), earlier.run().parameters.join(", ")),
+                "resume with the scene that wrote the recording",
+            )),
+        }
     }
 }

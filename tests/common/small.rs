@@ -101,7 +101,7 @@ pub(crate) fn import(folder: &Path, densities: bool, h: Option<f64>) -> whirls::
         smoothing_length: h,
         kernel: KernelChoice::CubicSpline,
         force: false,
-        out: path("imported.mcap"),
+        out: whirls::output::Output::beside(&path("imported.mcap"))?,
     }
     .run()
 }

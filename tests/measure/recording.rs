@@ -10,6 +10,7 @@ use clap::Parser;
 use common::{Flows, Run, in_turn_and_tidy};
 use std::cell::RefCell;
 use std::path::PathBuf;
+use whirls::output::Output;
 use whirls::recording::{self, Recorder};
 use whirls::run::{begin_recording, run_info, run_recorded};
 use whirls::{Flow, Scene};
@@ -85,7 +86,8 @@ impl Contestant {
             0
         };
         let recorded = || {
-            let mut recorder = begin_recording(&path, (&info, &scene), 0.0).unwrap();
+            let mut recorder =
+                begin_recording(Output::create(&path).unwrap(), (&info, &scene), 0.0).unwrap();
             advance(Some(&mut recorder));
             recorder.finish().unwrap().bytes as usize
         };

@@ -1,16 +1,13 @@
 //! What commands that run flows share: progress, dimension.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::meter::Meter;
 
-/// A bar on standard error with rate and estimate; nothing where that is not a terminal.
-pub(crate) fn progress(length: u64, what: &'static str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
+/// A meter with rate and estimate; of length zero where nothing can be counted.
+pub(crate) fn progress(length: u64, what: &'static str) -> Meter {
     let template = "{prefix:>10} [{bar:30}] {pos}/{len} {msg} ({elapsed}, {eta} left)";
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar.set_prefix(what);
-    bar
+    let meter = Meter::new(length, what, template);
+    meter.set_prefix(what);
+    meter
 }
 
 /// Runs `$run::<D>($($argument),*)` with the scene's dimension as `D`.

@@ -1,12 +1,22 @@
 //! What all commands share: output, the JSON line, exit codes.
 
+use std::io::{self, Write};
 use std::process::ExitCode;
-use whirls::{Error, Result};
+use std::sync::OnceLock;
+use whirls::{Error, Result, interrupt};
+
+/// Why standard output could not be written; none where its reader has just gone.
+static UNSAID: OnceLock<io::Error> = OnceLock::new();
 
 /// Ends a command: nothing on success, the error on standard error otherwise.
 #[expect(clippy::print_stderr, reason = "a command reports its failure here")]
 pub(crate) fn conclude(result: Result<()>) -> ExitCode {
-    match result {
+    let result = match result {
+        // What an interrupted run fails of is no news.
+        Err(Error::Input { .. } | Error::Diverged { .. }) => interrupt::check().and(result),
+        other => other,
+    };
+    match result.and_then(|()| all_said()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");
@@ -17,9 +27,25 @@ pub(crate) fn conclude(result: Result<()>) -> ExitCode {
 
 /// Prints a line on standard output, unless its reader has gone.
 pub(crate) fn say(line: impl std::fmt::Display) {
-    use std::io::Write;
     // A closed pipe (`train | head`) is no reason to lose the recording.
-    let _ = writeln!(std::io::stdout(), "{line}");
+    match writeln!(io::stdout(), "{line}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            UNSAID.get_or_init(|| error);
+        }
+        _ => {}
+    }
+}
+
+/// Whether standard output has taken every line.
+fn all_said() -> Result<()> {
+    let Some(error) = UNSAID.get() else { return Ok(()) };
+    let same = error.raw_os_error().map(io::Error::from_raw_os_error);
+    Err(Error::File {
+        action: "write",
+        path: "standard output".into(),
+        source: same.unwrap_or_else(|| io::Error::new(error.kind(), error.to_string())),
+        remedy: "what was written to files is whole; send the report to where there is room",
+    })
 }
 
 /// Prints the object of `--json`.

@@ -1,8 +1,11 @@
 //! What commands with a scene share: options, explanation.
 
+use crate::common::warn;
 use crate::common::{say, say_json};
 use clap::Args;
-use whirls::run::Requirements;
+use std::path::Path;
+use whirls::output::{Output, leftovers, readable, same_file};
+use whirls::run::{Guard, Requirements};
 use whirls::trade::{CALIBRATION, Choice, Trial};
 use whirls::{Result, Scene};
 
@@ -39,6 +42,23 @@ impl SceneArguments {
         scene.seed = self.seed.unwrap_or(scene.seed);
         Ok(scene)
     }
+}
+
+/// Reserves a recording's name before any work; what an earlier run left unfinished is kept, and told.
+#[allow(dead_code, reason = "trade writes a folder")]
+pub(crate) fn reserve(guard: &Guard<'_>, path: &Path) -> Result<Output> {
+    let output = guard.reserve(path)?;
+    let resumed =
+        |left: &Path| guard.continued.is_some_and(|earlier| same_file(left, &readable(earlier)));
+    for left in leftovers(path).iter().filter(|left| *left != output.unfinished() && !resumed(left))
+    {
+        let left = left.display();
+        warn(&format!(
+            "{left} is what an earlier run left unfinished, and is kept: `train --resume` goes on from it, \
+             `replay --recover` makes it whole"
+        ));
+    }
+    Ok(output)
 }
 
 /// Prints which step was chosen for the accuracy that a scene asks for; to `explain`, also what was tried.

@@ -7,13 +7,16 @@ use whirls::run::{Losses, TrainingReport};
 /// Prints a report in words.
 pub(crate) fn describe(report: &TrainingReport) {
     say(format!(
-        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations, gradient {} ({:.1} s)",
+        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations{}, gradient {} ({:.1} s)",
         report.scene,
         report.particles,
         report.steps,
         report.loss_initial,
         report.loss_final,
-        report.iterations,
+        report.iterations - report.iterations_before.unwrap_or(0),
+        report
+            .iterations_before
+            .map_or_else(String::new, |before| format!(" after {before} earlier ones")),
         report.gradient,
         report.seconds.train
     ));

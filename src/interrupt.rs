@@ -1,0 +1,72 @@
+//! Ctrl-C and its like: asked to stop, a run ends in order, with what it has so far recorded.
+//!
+//! A command calls [`listen`]; from then on the first signal is kept and the second ends the process at once.
+//! Every step of every flow begins with [`check`], so whatever runs flows ends within one step. Without
+//! [`listen`] signals do what they do to any program.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use crate::{Error, Result};
+
+/// The signal that was received; zero before any.
+static RECEIVED: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
+
+/// Signals that end a run in order. A hang-up is left to the system, so that `nohup` keeps its meaning.
+const SIGNALS: [i32; 2] = [SIGINT, SIGTERM];
+
+/// From now on a signal to end is kept for [`check`]; a second one ends the process.
+///
+/// # Errors
+/// Where the system does not allow it.
+pub fn listen() -> std::io::Result<()> {
+    let received = Arc::clone(RECEIVED.get_or_init(Arc::default));
+    for signal in SIGNALS {
+        let before = Arc::new(AtomicBool::new(false));
+        // In this order: the first signal must not meet its own mark.
+        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, before.clone())?;
+        signal_hook::flag::register(signal, before)?;
+        signal_hook::flag::register_usize(
+            signal,
+            received.clone(),
+            signal.unsigned_abs() as usize,
+        )?;
+    }
+    Ok(())
+}
+
+/// The signal that asked to stop, if one has.
+pub fn received() -> Option<u8> {
+    let signal = RECEIVED.get()?.load(Ordering::Relaxed);
+    u8::try_from(signal).ok().filter(|signal| *signal > 0)
+}
+
+/// Whether to go on.
+///
+/// # Errors
+/// [`Error::Interrupted`] once a signal has asked to stop.
+pub fn check() -> Result<()> {
+    match received() {
+        None => Ok(()),
+        Some(signal) => Err(Error::Interrupted { signal, kept: "nothing was written".into() }),
+    }
+}
+
+/// A result of a run, where it was interrupted with what was kept.
+pub fn keep<T>(result: Result<T>, kept: impl FnOnce() -> String) -> Result<T> {
+    result.map_err(|error| match error {
+        Error::Interrupted { signal, .. } => Error::Interrupted { signal, kept: kept() },
+        other => other,
+    })
+}
+
+/// The name of a signal.
+pub(crate) fn name(signal: u8) -> String {
+    let found = SIGNALS.iter().position(|known| *known == i32::from(signal));
+    match found {
+        Some(k) => ["SIGINT", "SIGTERM"][k].to_owned(),
+        None => format!("signal {signal}"),
+    }
+}

@@ -1,0 +1,275 @@
+//! Whether a run fits into memory, before it takes any.
+//!
+//! The estimate is the one of `--explain`: bytes per particle, measured on a small flow with as many neighbours and
+//! the same options, times the particles of the scene. It errs to the small side where it is uncertain, because a run
+//! that is refused cannot be had at all.
+
+use super::{Lesson, Requirements};
+use crate::error::{Error, Result};
+use crate::flow::{Flow, Held, State};
+use crate::learn::Learner;
+use crate::scene::{Learn, Scene};
+use crate::sensitivity::{Gradient, Storage};
+use crate::truth::Truth;
+
+/// Particles of the small flow in each dimension.
+const FEW: [usize; 2] = [24, 8];
+
+/// Most particles a side of the small flow where a long reach asks for more.
+const MOST: [usize; 2] = [96, 20];
+
+/// What there is for a process to take, in bytes, and what sets the bound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Room {
+    /// Bytes that can still be taken.
+    pub bytes: f64,
+    /// What sets the bound.
+    pub bound: &'static str,
+}
+
+impl Room {
+    /// The least that memory, address space and control group leave; `None` where the system tells none of them.
+    pub fn now() -> Option<Self> {
+        let all = [
+            (free_memory(), "of memory"),
+            (address_space(), "of address space (ulimit -v)"),
+            (control_group(), "in the memory limit of the control group"),
+        ];
+        let known =
+            all.into_iter().filter_map(|(bytes, bound)| Some(Self { bytes: bytes?, bound }));
+        known.min_by(|a, b| a.bytes.total_cmp(&b.bytes))
+    }
+}
+
+/// Refuses a run for which there is no room.
+///
+/// # Errors
+/// [`Error::Input`] where the estimate is more than there is.
+pub fn must_fit(bytes: f64, scene: &Scene, remedy: &str) -> Result<()> {
+    let Some(room) = Room::now().filter(|room| room.bytes < bytes) else { return Ok(()) };
+    let particles = scene.particles();
+    Err(Error::input(
+        format!("memory for scene {}", scene.name),
+        format!(
+            "room for about {} ({:.0} bytes for each of {particles} particles)",
+            in_words(bytes),
+            bytes / particles as f64
+        ),
+        format!("{} {}", in_words(room.bytes), room.bound),
+        format!("{remedy}; --explain on a smaller scene tells what takes it"),
+    ))
+}
+
+/// Bytes that a simulation of a scene takes.
+pub fn simulation_bytes<const D: usize>(scene: &Scene) -> f64 {
+    let twin = Twin::of(scene);
+    let state = State::<D>::initial(&twin.scene);
+    let Ok(mut flow) = Flow::from_state(&twin.scene, &state) else { return 0.0 };
+    // One that fails at once has its arrays all the same.
+    drop(flow.start());
+    let found = Requirements::of_flow(&twin.scene, &mut flow, scene.record.every > 0);
+    let state = (16 * D) as f64;
+    scene.particles() as f64 * (twin.held(&found.held) + state)
+}
+
+/// Bytes that a training of a scene takes: truth, observations, search and warm-up. Nothing is known, and zero comes
+/// back, where the scene's own law does not hold for one frame.
+pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
+    let Some(learn) = &scene.learn else { return 0.0 };
+    let (particles, twin) = (scene.particles() as f64, Twin::of(scene));
+    let (frames, vector) = (learn.frames as f64, (8 * D) as f64);
+    let mut bytes = particles * (frames + 1.0) * (2.0 * vector + 8.0);
+    let worlds = if learn.warm_up.is_some() { 2.0 } else { 1.0 };
+    let mut observed = particles * (2.0 * frames + 1.0) * vector;
+    if learn.loss.field > 0.0 || worlds > 1.0 {
+        let per_axis = learn.mesh.unwrap_or(scene.fluid.particles_per_side) as f64;
+        // Those of the truth, and the predicted one.
+        observed += (frames + 1.0) * per_axis.powi(D as i32) * vector;
+    }
+    bytes += worlds * observed;
+    for found in twin.of_training::<D>().unwrap_or_default() {
+        bytes += particles * twin.held(&found.held);
+    }
+    match learn.storage {
+        Storage::Bytes(budget) if uses_tape(scene) => bytes + budget as f64,
+        _ => bytes,
+    }
+}
+
+/// Whether a search finds its gradient by the adjoint.
+fn uses_tape(scene: &Scene) -> bool {
+    let Some(learn) = &scene.learn else { return false };
+    let second_order =
+        matches!(learn.optimiser, crate::scene::Optimiser::LevenbergMarquardt { .. });
+    let forward = second_order || learn.coupling == crate::sensitivity::Coupling::Local;
+    learn.gradient.choose(forward) == Gradient::Adjoint
+}
+
+/// A small scene whose particles have as many neighbours as those of a large one.
+struct Twin {
+    scene: Scene,
+    /// How often each neighbour of the small flow stands for one of the large.
+    crowd: f64,
+    /// Frames that the large scene observes.
+    frames: usize,
+}
+
+impl Twin {
+    fn of(scene: &Scene) -> Self {
+        let mut twin = scene.as_written();
+        let axes = scene.dimension.clamp(2, 3);
+        let (few, most) = (FEW[axes - 2], MOST[axes - 2]);
+        let side = scene.fluid.particles_per_side;
+        let spacings = scene.fluid.smoothing_length * side as f64 / scene.fluid.box_length;
+        // A support of less than half the box.
+        let wanted = ((4.4 * spacings).ceil() as usize).max(few);
+        let fluid = &mut twin.fluid;
+        fluid.particles_per_side = wanted.min(most).min(side);
+        let reach = spacings * fluid.box_length / fluid.particles_per_side as f64;
+        fluid.smoothing_length = reach.min(0.24 * fluid.box_length);
+        let crowd = (reach / fluid.smoothing_length).max(1.0).powi(axes as i32);
+        twin.spin_up = None;
+        if let Some(learn) = &mut twin.learn {
+            (learn.after, learn.frames, learn.mesh) = (0, 1, Some(4));
+            learn.windows.clear();
+        }
+        let frames = scene.learn.as_ref().map_or(0, |learn| learn.frames);
+        Self { scene: twin, crowd, frames }
+    }
+
+    /// Bytes per particle of what is held, but for what [`training_bytes`] counts by itself.
+    fn held(&self, columns: &[Held]) -> f64 {
+        let all = columns.iter().map(|column| match column.part {
+            "truth" | "observations" => 0.0,
+            "tape" if column.name.contains("and snapshots") => 0.0,
+            "neighbour lists" | "linearised pairs" | "tape" => self.crowd * column.bytes,
+            _ => column.bytes,
+        });
+        all.sum()
+    }
+
+    /// What a search of the small scene holds, with the steps of the large one on its tape.
+    fn of_training<const D: usize>(&self) -> Result<Vec<Requirements>> {
+        let Self { scene, .. } = self;
+        let truth = Truth::<D>::from_state(scene, &State::initial(scene), 1)?;
+        let mut learner = Learner::of_truth(scene, &truth)?;
+        let own = scene.parameters();
+        let mut guess = learner.guess(scene.seed);
+        for (value, parameter) in guess.iter_mut().zip(learner.columns()) {
+            *value = own.get(parameter).unwrap_or(*value);
+        }
+        // The tape has the steps of the scene, not those of its twin.
+        let learn = Learn { frames: self.frames, ..scene.learning()?.clone() };
+        let lesson =
+            Lesson { learn, truth, known: None, seconds: 0.0, origin: None, warnings: Vec::new() };
+        Requirements::of_training((scene, &lesson), (&mut learner, &guess))
+    }
+}
+
+/// Bytes as a number to be read.
+fn in_words(bytes: f64) -> String {
+    match bytes {
+        b if b >= 1e9 => format!("{:.1} GB", 1e-9 * b),
+        b => format!("{:.0} MB", 1e-6 * b),
+    }
+}
+
+/// The number after a key, in a file of the system.
+fn number_in(file: &str, key: &str) -> Option<f64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find(|line| line.starts_with(key))?;
+    line[key.len()..].split_whitespace().next()?.parse().ok()
+}
+
+fn free_memory() -> Option<f64> {
+    number_in("/proc/meminfo", "MemAvailable:").map(|kilobytes| 1024.0 * kilobytes)
+}
+
+/// What the limit of the address space leaves.
+fn address_space() -> Option<f64> {
+    let limit = number_in("/proc/self/limits", "Max address space")?;
+    let taken = number_in("/proc/self/status", "VmSize:")?;
+    Some((limit - 1024.0 * taken).max(0.0))
+}
+
+/// What the closest limit of a control group leaves, of version 2 or 1.
+fn control_group() -> Option<f64> {
+    let groups = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    let rooms = groups.lines().filter_map(|line| {
+        let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
+        let (root, limit, used) = match controllers {
+            "" => ("/sys/fs/cgroup", "memory.max", "memory.current"),
+            "memory" => ("/sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes"),
+            _ => return None,
+        };
+        let folder = std::path::Path::new(root).join(path.trim_start_matches('/'));
+        let above = folder.ancestors().take_while(|folder| folder.starts_with(root));
+        let room = |folder: &std::path::Path| {
+            let number = |name: &str| number_in(folder.join(name).to_str()?, "");
+            Some((number(limit)? - number(used)? + reclaimable(folder)).max(0.0))
+        };
+        above.filter_map(room).min_by(f64::total_cmp)
+    });
+    rooms.min_by(f64::total_cmp)
+}
+
+/// Bytes of files that a control group keeps in memory as long as they are in nobody's way.
+fn reclaimable(folder: &std::path::Path) -> f64 {
+    let stat = folder.join("memory.stat");
+    let files = |key: &str| number_in(stat.to_str()?, key);
+    files("total_inactive_file ").or_else(|| files("inactive_file ")).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SHIPPED;
+
+    fn estimates(scene: &Scene) -> [f64; 2] {
+        match scene.dimension {
+            2 => [simulation_bytes::<2>(scene), training_bytes::<2>(scene)],
+            _ => [simulation_bytes::<3>(scene), training_bytes::<3>(scene)],
+        }
+    }
+
+    #[test]
+    fn every_shipped_scene_fits_into_a_machine_of_two_gigabytes() -> Result<()> {
+        for shipped in SHIPPED {
+            let scene = Scene::shipped(shipped.name)?;
+            for bytes in estimates(&scene) {
+                assert!((1e5..1.2e9).contains(&bytes), "{}: {}", shipped.name, in_words(bytes));
+            }
+        }
+        Ok(())
+    }
+
+    /// What `--explain` finds on the scene itself.
+    #[test]
+    fn the_estimate_is_what_the_flow_holds_to_a_third() -> Result<()> {
+        let sized = ["fluid.particles_per_side=24", "fluid.smoothing_length=0.2233"];
+        let scene = Scene::open("inverse-3d", &sized.map(str::to_owned))?;
+        let mut flow = Flow::<3>::new(&scene)?;
+        flow.start()?;
+        let held: f64 =
+            Requirements::of_flow(&scene, &mut flow, true).held.iter().map(|h| h.bytes).sum();
+        let share = simulation_bytes::<3>(&scene) / (held * scene.particles() as f64);
+        assert!((0.67..1.5).contains(&share), "{share}");
+        Ok(())
+    }
+
+    #[test]
+    fn meshes_and_tapes_count() -> Result<()> {
+        let with = |more: &[&str]| -> Result<f64> {
+            let scene =
+                Scene::open("inverse-3d", &more.iter().map(|&m| m.into()).collect::<Vec<_>>())?;
+            Ok(training_bytes::<3>(&scene))
+        };
+        let plain = with(&[])?;
+        assert!(with(&["learn.mesh=406"])? > plain + 1e10);
+        let adam = "learn.optimiser={kind='adam',rate=0.1}";
+        let long = with(&[adam, "learn.frames=1000"])?;
+        let few = with(&[adam, "learn.frames=1000", "learn.storage={checkpoints=8}"])?;
+        assert!(long > 3.0 * few, "{long:e} {few:e}");
+        Ok(())
+    }
+}
