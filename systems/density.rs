@@ -15,7 +15,7 @@ use crate::cells::FEWEST;
 use crate::models::{FluidConstants, Medium, Model, Room};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Chunk, Entry, Hood, Lines, adjoints, separation};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_in};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -99,7 +99,8 @@ pub fn sum_density<const D: usize>(
     let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(&mut masks);
     chunks.with_max_len(AT_ONCE).for_each(|((chunk, density), masks)| {
         chunk.make_masks(masks);
-        dispatch_in(lines.precision, DensityPass { lines, chunk, space, medium, density, masks });
+        let pass = DensityPass { lines, chunk, space, medium, density, masks };
+        dispatch_by_kernel(medium.smoothing.is_table(), lines.precision, pass);
     });
     (cloud.density, cloud.masks) = (density, masks);
     let Cloud { packed, singles, density, .. } = &mut *cloud;
@@ -178,7 +179,8 @@ pub fn sum_density_tangent<const D: usize>(
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
             pairs.meet(chunk, law, |hood, _| {
-                dispatch_in(precision, PullsPass { hood, medium, coupling, shape, into });
+                let pass = PullsPass { hood, medium, coupling, shape, into };
+                dispatch_by_kernel(medium.smoothing.is_table(), precision, pass);
             });
         });
         changes.par_iter_mut().enumerate().for_each(|(block, density)| {
@@ -272,7 +274,8 @@ pub fn sum_density_pullback<const D: usize>(
     let (pairs, adjoint, medium) = (cloud.pairs(&neighbours), &by_density[..], model.medium());
     near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(near, position)| {
         let hood = pairs.hood(near);
-        dispatch_in(cloud.precision, DensityPullback { hood, adjoint, medium, position });
+        let pass = DensityPullback { hood, adjoint, medium, position };
+        dispatch_by_kernel(medium.smoothing.is_table(), cloud.precision, pass);
     });
 }
 

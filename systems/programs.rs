@@ -116,26 +116,9 @@ fn forwards<const D: usize>(
     terms: &Terms<D>,
     needs: &Needs,
 ) -> Schedule {
-    let mut schedule = empty(program);
-    for pair in Phase::ALL.windows(2) {
-        schedule.configure_sets(pair[0].before(pair[1]));
-        schedule.configure_sets(Refresh(pair[0]).before(Refresh(pair[1])));
-    }
-    for phase in Phase::ALL {
-        schedule.configure_sets(Refresh(phase).in_set(Phase::Refresh));
-    }
-    for &occasion in occasions {
-        let stages = terms.iter().flat_map(|term| term.stages(occasion, needs));
-        let mut stages: Vec<Stage> = stages.collect();
-        for phase in Phase::ALL {
-            let own = stages.extract_if(.., |stage| stage.phase() == phase);
-            let own = own.filter_map(|stage| stage.into_forward(needs.sensitivities));
-            if let Some(systems) = in_a_row(own.collect::<Vec<_>>()) {
-                schedule.add_systems(systems.in_set(set_of(occasion, phase)));
-            }
-        }
-    }
-    schedule
+    let forward = |stage: Stage| stage.into_forward(needs.sensitivities);
+    let systems = |own: Vec<Stage>| in_a_row(own.into_iter().filter_map(forward));
+    schedule(in_order(program, Phase::ALL), occasions, (terms, needs), systems)
 }
 
 fn backwards<const D: usize>(
@@ -144,21 +127,38 @@ fn backwards<const D: usize>(
     terms: &Terms<D>,
     needs: &Needs,
 ) -> Schedule {
+    let systems =
+        |own: Vec<Stage>| in_a_row(own.into_iter().rev().filter_map(Stage::into_pullback));
+    schedule(in_order(program, Phase::ALL.into_iter().rev()), occasions, (terms, needs), systems)
+}
+
+/// An empty schedule with phases in a given order, those of a refresh within their own.
+fn in_order(program: Program, phases: impl IntoIterator<Item = Phase>) -> Schedule {
     let mut schedule = empty(program);
-    for pair in Phase::ALL.windows(2) {
-        schedule.configure_sets(pair[0].after(pair[1]));
-        schedule.configure_sets(Refresh(pair[0]).after(Refresh(pair[1])));
+    let phases: Vec<Phase> = phases.into_iter().collect();
+    for pair in phases.windows(2) {
+        schedule.configure_sets(pair[0].before(pair[1]));
+        schedule.configure_sets(Refresh(pair[0]).before(Refresh(pair[1])));
     }
-    for phase in Phase::ALL {
+    for phase in phases {
         schedule.configure_sets(Refresh(phase).in_set(Phase::Refresh));
     }
+    schedule
+}
+
+/// Adds to each phase what is made of its stages, which come in the order of their terms.
+fn schedule<const D: usize>(
+    mut schedule: Schedule,
+    occasions: &[Occasion],
+    (terms, needs): (&Terms<D>, &Needs),
+    systems: impl Fn(Vec<Stage>) -> Option<Systems>,
+) -> Schedule {
     for &occasion in occasions {
         let stages = terms.iter().flat_map(|term| term.stages(occasion, needs));
         let mut stages: Vec<Stage> = stages.collect();
         for phase in Phase::ALL {
-            let own = stages.extract_if(.., |stage| stage.phase() == phase);
-            let own: Vec<Systems> = own.filter_map(Stage::into_pullback).collect();
-            if let Some(systems) = in_a_row(own.into_iter().rev()) {
+            let own = stages.extract_if(.., |stage| stage.phase() == phase).collect();
+            if let Some(systems) = systems(own) {
                 schedule.add_systems(systems.in_set(set_of(occasion, phase)));
             }
         }

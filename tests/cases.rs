@@ -3,6 +3,7 @@
 //! The folder is `../shared/cases` beside the repository, or what `WHIRLS_CASES` names. Where it is missing the tests
 //! say that they are skipped; they fail where `CI=true`.
 
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
 #[path = "common/place.rs"]

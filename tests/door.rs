@@ -1,6 +1,7 @@
 //! What comes in is held against itself and against the scene: each kind of mistake is refused or named, with what to
 //! do about it, and what is right passes without a word.
 
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
 #[path = "common/small.rs"]

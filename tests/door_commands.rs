@@ -1,6 +1,7 @@
 //! The door as a shell sees it: what is given in place of something else, clouds of other programs, truths of learned
 //! models, and options that are no numbers.
 
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
 #[path = "common/place.rs"]

@@ -33,60 +33,73 @@ impl AnyKernel {
     }
 }
 
-/// The same call on whichever kernel it is.
+/// The same call on whichever kernel it is, in numbers of a type.
 macro_rules! whichever {
-    ($kernel:expr, $method:ident($($argument:expr),*)) => {
+    ($kernel:expr, $numbers:ty, $method:ident($($argument:expr),*)) => {
         match $kernel {
             AnyKernel::CubicSpline => CubicSpline.$method($($argument),*),
             AnyKernel::WendlandC2 => WendlandC2.$method($($argument),*),
             AnyKernel::WendlandC4 => WendlandC4.$method($($argument),*),
             AnyKernel::Table(table) | AnyKernel::Derivative(table, _) => {
+                if !<$numbers>::TABLES {
+                    without_room();
+                }
                 table.$method($($argument),*)
             }
         }
     };
 }
 
+/// Whoever runs a pass has not asked whether its kernel is a table.
+#[cold]
+#[inline(never)]
+fn without_room() -> ! {
+    panic!("a table in wide registers: the pass must be run by scalar::dispatch_by_kernel")
+}
+
 impl Kernel for AnyKernel {
     fn normalisation(&self, dimension: usize) -> f64 {
-        whichever!(self, normalisation(dimension))
+        whichever!(self, f64, normalisation(dimension))
+    }
+
+    fn is_table(&self) -> bool {
+        matches!(self, Self::Table(_) | Self::Derivative(..))
     }
 
     #[inline(always)]
     fn value<T: Scalar>(&self, q: T) -> T {
-        if let Self::Derivative(table, parameter) = self {
+        if let (Self::Derivative(table, parameter), true) = (self, T::TABLES) {
             return table.value_by(*parameter, q);
         }
-        whichever!(self, value(q))
+        whichever!(self, T, value(q))
     }
 
     #[inline(always)]
     fn gradient<T: Scalar>(&self, q: T) -> T {
-        whichever!(self, gradient(q))
+        whichever!(self, T, gradient(q))
     }
 
     #[inline(always)]
     fn curvature<T: Scalar>(&self, q: T) -> T {
-        whichever!(self, curvature(q))
+        whichever!(self, T, curvature(q))
     }
 
     #[inline(always)]
     fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
-        whichever!(self, slopes(q))
+        whichever!(self, T, slopes(q))
     }
 
-    #[inline(always)]
     fn parameters(&self) -> usize {
-        whichever!(self, parameters())
+        whichever!(self, f64, parameters())
     }
 
     #[inline(always)]
     fn value_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
-        whichever!(self, value_by(parameter, q))
+        whichever!(self, T, value_by(parameter, q))
     }
 
     #[inline(always)]
     fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
-        whichever!(self, gradient_by(parameter, q))
+        whichever!(self, T, gradient_by(parameter, q))
     }
 }

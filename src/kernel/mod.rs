@@ -71,6 +71,11 @@ pub trait Kernel: Clone + Send + Sync + 'static {
     /// `g(q)` and `k(q)` at once, for less than both.
     fn slopes<T: Scalar>(&self, q: T) -> [T; 2];
 
+    /// Whether its values are looked up.
+    fn is_table(&self) -> bool {
+        false
+    }
+
     /// How many parameters the shape has.
     #[inline(always)]
     fn parameters(&self) -> usize {
@@ -120,6 +125,11 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
     /// The kernel.
     pub fn kernel(&self) -> &K {
         &self.shape
+    }
+
+    /// Whether its values are looked up.
+    pub fn is_table(&self) -> bool {
+        self.shape.is_table()
     }
 
     /// Radius beyond which the kernel vanishes, `2h`.

@@ -80,6 +80,10 @@ fn argument<T: Scalar>(q: T) -> T {
 }
 
 impl Kernel for KernelTable {
+    fn is_table(&self) -> bool {
+        true
+    }
+
     /// One: the table is normalised.
     fn normalisation(&self, dimension: usize) -> f64 {
         debug_assert_eq!(dimension, self.dimension, "a table is of one dimension");

@@ -6,7 +6,7 @@ use super::mesh::Mesh;
 use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
-use crate::scalar::{Pass, Wide, dispatch};
+use crate::scalar::{Pass, Precision, Wide, dispatch_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -85,13 +85,15 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
         let numbers = lattice.planes(planes.len()) * lattice.numbers_per_plane();
         let mut columns = [(); D].map(|()| vec![0.0; numbers]);
         for plane in planes.clone() {
-            dispatch(GivePass {
+            let pass = GivePass {
                 points: self.points,
                 lattice,
                 slots: self.bins.of(plane),
                 plane: planes.start,
                 columns: &mut columns,
-            });
+            };
+            let is_table = self.points.smoothing.is_table();
+            dispatch_by_kernel(is_table, Precision::Double, pass);
         }
         columns
     }
@@ -236,7 +238,9 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
     let chunks = columns.zip(points.packed.par_chunks(CHUNK));
     chunks.for_each(|(((position, velocity), density), particles)| {
         let into = (position, velocity, density);
-        dispatch(TakePass { points, lattice: &lattice, nodes, particles, into });
+        let pass = TakePass { points, lattice: &lattice, nodes, particles, into };
+        let is_table = points.smoothing.is_table();
+        dispatch_by_kernel(is_table, Precision::Double, pass);
     });
     adjoint
 }

@@ -281,6 +281,10 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     /// The linearised force.
     type Slope<W: Wide>: Slope<W, D, ByParameter = Self::ByParameter<W>>;
 
+    /// Whether the law holds nothing in memory of its own but the table of its kernel, where that is one. The pullback
+    /// then keeps its numbers in registers.
+    const IS_NUMBERS: bool = false;
+
     /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
     fn is_antisymmetric(&self) -> bool;
 

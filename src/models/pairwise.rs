@@ -5,10 +5,15 @@ use super::{
     ForceOutput, Form, Kept, Learned, Medium, Model, PairCotangent, PairLaw, PairRows, PairShare,
     Passed, Room, Slope, Slopes, Slots, slope::add_lanes, store_vector,
 };
+use crate::chunk::Eight;
+use crate::near::Near;
 use crate::packed::PackedAdjoint;
-use crate::pairs::{AHEAD, Batch, Hood, adjoints};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_in};
+use crate::pairs::{AHEAD, Batch, Hood, Lines, adjoints};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_by_kernel};
+use crate::space::PeriodicBox;
 use crate::vector::Vector;
+use std::mem::ManuallyDrop;
+use std::ops::Range;
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     fn boxed(&self) -> Box<dyn Model<D>> {
@@ -16,7 +21,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>) {
-        dispatch_in(hood.lines.precision, ForcePass { law: self, hood, room, out });
+        run(self, hood, ForcePass { law: self, hood, room, out });
     }
 
     fn part_names(&self) -> &'static [&'static str] {
@@ -24,11 +29,11 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        dispatch_in(hood.lines.precision, PartPass { law: self, part, hood, room, out });
+        run(self, hood, PartPass { law: self, part, hood, room, out });
     }
 
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes) {
-        dispatch_in(hood.lines.precision, SlopePass { law: self, hood, kept, room, into });
+        run(self, hood, SlopePass { law: self, hood, kept, room, into });
     }
 
     fn has_force_network(&self) -> bool {
@@ -36,7 +41,7 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]) {
-        dispatch_in(hood.lines.precision, WeightPass { law: self, hood, first, room, out });
+        run(self, hood, WeightPass { law: self, hood, first, room, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -50,8 +55,13 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
         room: &mut Room,
         into: Passed<'_, D>,
     ) {
-        dispatch_in(hood.lines.precision, PullPass { law: self, hood, forces, room, into });
+        run(self, hood, PullPass { law: self, hood, forces, room, into });
     }
+}
+
+/// Runs a pass over the pairs of a law.
+fn run<L: PairLaw<D>, P: Pass, const D: usize>(law: &L, hood: Hood<'_>, pass: P) -> P::Output {
+    dispatch_by_kernel(law.medium().smoothing.is_table(), hood.lines.precision, pass)
 }
 
 /// `aᵢ = Σⱼ fᵢⱼ` over one chunk of particles.
@@ -242,8 +252,9 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { law, hood: Hood { lines, near, space }, forces, room, into } = self;
-        // A copy of its own: numbers that nobody else can write stay in registers.
-        let law = &law.clone();
+        // A copy of its own, whose numbers stay in registers as long as its address is not taken: to drop it takes it.
+        let copy = ManuallyDrop::new(law.clone());
+        let law: &L = &copy;
         let both = law.is_antisymmetric();
         let mut parameters = <L::ByParameter<W::Double> as Slots<W::Double>>::zero();
         let first = parameters.as_ref().len();
@@ -254,23 +265,9 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
             let space = near.around(k, space);
             for (number, eight) in near.neighbours(k).enumerate() {
                 let batch = Batch::<W, D>::read(lines, slot, eight, space);
-                let there = adjoints::<W>(forces, eight);
-                let mut across = Vector::<W, D>::zero();
-                for axis in 0..D {
-                    let mut force = W::Double::of(forces[slot].force[axis]);
-                    if both {
-                        force -= there[axis];
-                    }
-                    across[axis] = W::narrow(force);
-                }
+                let across = across::<W, D>(forces, (slot, eight), both);
                 let passed = law.pullback(&batch, across, room);
                 add_own(&mut sum, &passed);
-                for parameter in later.clone() {
-                    if let Some(by) = law.by_later_parameter(&batch, parameter, room) {
-                        let sum = &mut room.scalars[parameter];
-                        *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
-                    }
-                }
                 if !both {
                     let first = (near.range(k).start + number) * WIDTH;
                     leave_shares(&passed, &mut into.neighbours[first..first + WIDTH]);
@@ -289,10 +286,58 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
         for (total, sum) in room.scalars.iter_mut().zip(parameters.as_ref()) {
             *total += sum.store();
         }
+        if !later.is_empty() {
+            pull_to_later::<W, L, D>((law, room), (lines, near, space), forces, later);
+        }
+        if W::TABLES || !L::IS_NUMBERS {
+            drop(ManuallyDrop::into_inner(copy));
+        }
         if both {
             // Every pair was met from both ends.
             for sum in room.scalars.iter_mut().chain(&mut room.weights) {
                 *sum = *sum * 0.5;
+            }
+        }
+    }
+}
+
+/// What the derivatives of eight pair forces are multiplied with: `λᵢ − λⱼ` where one end of a pair knows both.
+#[inline(always)]
+fn across<W: Wide, const D: usize>(
+    forces: &[PackedAdjoint],
+    (slot, eight): (usize, Eight<'_, u32>),
+    both: bool,
+) -> Vector<W, D> {
+    let there = adjoints::<W>(forces, eight);
+    let mut across = Vector::zero();
+    for axis in 0..D {
+        let mut force = W::Double::of(forces[slot].force[axis]);
+        if both {
+            force -= there[axis];
+        }
+        across[axis] = W::narrow(force);
+    }
+    across
+}
+
+/// The sums of the parameters behind a law's first, in a loop of their own: few flows have them.
+#[inline(always)]
+fn pull_to_later<W: Wide, L: PairLaw<D>, const D: usize>(
+    (law, room): (&L, &mut Room),
+    (lines, near, space): (Lines<'_>, &Near, PeriodicBox),
+    forces: &[PackedAdjoint],
+    parameters: Range<usize>,
+) {
+    for k in 0..near.len() {
+        let (slot, space) = (near.first + k, near.around(k, space));
+        for eight in near.neighbours(k) {
+            let batch = Batch::<W, D>::read(lines, slot, eight, space);
+            let across = across::<W, D>(forces, (slot, eight), law.is_antisymmetric());
+            for parameter in parameters.clone() {
+                if let Some(by) = law.by_later_parameter(&batch, parameter, room) {
+                    let sum = &mut room.scalars[parameter];
+                    *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
+                }
             }
         }
     }

@@ -47,6 +47,8 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
     type ByParameter<W: Wide> = [W; 3];
     type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
+    const IS_NUMBERS: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true

@@ -37,6 +37,8 @@ impl<T: Scalar, const P: usize> Dual<T, P> {
 }
 
 impl<T: Scalar, const P: usize> Scalar for Dual<T, P> {
+    const TABLES: bool = T::TABLES;
+
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self { value: T::of(x), gradient: [T::of(0.0); P] }

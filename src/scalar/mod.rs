@@ -21,7 +21,8 @@ pub use sift::Window;
 pub use singles::Singles;
 pub use tabulated::Tabulated;
 pub use wide::{
-    Pass, Precision, Wide, dispatch, dispatch_in, on_every_instruction_set, transposed,
+    Pass, Precision, Wide, dispatch, dispatch_by_kernel, dispatch_in, on_every_instruction_set,
+    transposed,
 };
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
@@ -44,6 +45,11 @@ pub trait Scalar:
     + AddAssign
     + SubAssign
 {
+    /// Whether a kernel that is known at run time may be a table in these numbers. Loops over pairs in wide registers
+    /// have no room for a call, so that flows with tables run in narrow ones, see
+    /// [`dispatch_by_kernel`](crate::scalar::dispatch_by_kernel).
+    const TABLES: bool = true;
+
     /// The number `x`, the same in every lane and with derivative zero.
     fn of(x: f64) -> Self;
     /// A positive number so small that it stands for zero where zero would divide: `x`, or more where

@@ -181,6 +181,13 @@ pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
     run_on(Arch::new(), precision, pass)
 }
 
+/// As [`dispatch_in`], of a pass that evaluates a kernel: with one that [is a table](crate::kernel::Kernel::is_table) by
+/// instructions whose registers have [`Scalar::TABLES`]. The bits are those of any other.
+#[inline]
+pub fn dispatch_by_kernel<P: Pass>(is_table: bool, precision: Precision, pass: P) -> P::Output {
+    run_on(if is_table { Arch::Scalar } else { Arch::new() }, precision, pass)
+}
+
 /// Runs a pass with every instruction set that this machine has, the plain one first: all give the
 /// same bits, which is for tests to see.
 pub fn on_every_instruction_set<P: Pass + Clone>(

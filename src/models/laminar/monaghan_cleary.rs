@@ -64,6 +64,8 @@ impl<const D: usize> PairLaw<D> for MonaghanCleary<D> {
     type ByParameter<W: Wide> = [W; 1];
     type Slope<W: Wide> = CentralSlope<W, D, [W; 1]>;
 
+    const IS_NUMBERS: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true

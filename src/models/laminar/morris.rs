@@ -61,6 +61,8 @@ impl<const D: usize> PairLaw<D> for Morris<D> {
     type ByParameter<W: Wide> = [W; 1];
     type Slope<W: Wide> = GeneralSlope<W, D, 1>;
 
+    const IS_NUMBERS: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true

@@ -36,10 +36,9 @@ pub(super) fn check<const D: usize>(
     }
     let per_axis = (count as f64).powf(1.0 / D as f64);
     let spacing = space.length / per_axis;
-    for axis in 0..D {
+    for (axis, name) in NAMES.into_iter().enumerate().take(D) {
         let along: Vec<f64> = state.positions.iter().map(|r| r.0[axis]).collect();
         let (low, high) = ends(&along);
-        let name = NAMES[axis];
         if high - low <= 1e-9 * space.length {
             say_flat(state, (axis, low), findings)?;
             continue;

@@ -39,14 +39,13 @@ pub(crate) fn misses<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> Mi
     for i in 0..count {
         let (mut went, mut fine, mut coarse) = (Vector::zero(), Vector::zero(), Vector::zero());
         for pair in truth.states.windows(2) {
-            went = went + image(pair[1].positions[i] - pair[0].positions[i], space);
+            went += image(pair[1].positions[i] - pair[0].positions[i], space);
             let v = pair[0].velocities[i] + pair[1].velocities[i];
-            fine = fine + v * (0.5 * (pair[1].time - pair[0].time));
+            fine += v * (0.5 * (pair[1].time - pair[0].time));
         }
         for part in truth.states.chunks(2).zip(truth.states.chunks(2).skip(1)) {
             let (from, to) = (&part.0[0], &part.1[0]);
-            coarse =
-                coarse + (from.velocities[i] + to.velocities[i]) * (0.5 * (to.time - from.time));
+            coarse += (from.velocities[i] + to.velocities[i]) * (0.5 * (to.time - from.time));
         }
         let lost = match truth.states.len() {
             2 => {

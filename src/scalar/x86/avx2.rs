@@ -25,6 +25,8 @@ on_registers! { [] Lanes256, Self;
 }
 
 impl Scalar for Lanes256 {
+    const TABLES: bool = false;
+
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([unsafe { _mm256_set1_pd(x) }; 2])

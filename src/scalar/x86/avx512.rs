@@ -26,6 +26,8 @@ on_registers! { [] Lanes512, Self;
 }
 
 impl Scalar for Lanes512 {
+    const TABLES: bool = false;
+
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([unsafe { _mm512_set1_pd(x) }])

@@ -42,6 +42,8 @@ pub(in crate::scalar) trait Doubles: Wide<Double = Self> {
 }
 
 impl<W: Doubles> Scalar for Singles256<W> {
+    const TABLES: bool = false;
+
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self::new(unsafe { _mm256_set1_ps(x as f32) })
