@@ -190,7 +190,7 @@ fn compare_most<const D: usize>(
     largest.sort_by(|&a, &b| found.gradient[b].abs().total_cmp(&found.gradient[a].abs()));
     for &component in &largest[..LARGEST] {
         let slope = compare_component(learner, found, component, frames)?;
-        line(&learner.columns()[component].name(), slope.exact, slope.relative);
+        line(learner.columns()[component].name(), slope.exact, slope.relative);
     }
     Ok(along)
 }
