@@ -163,7 +163,7 @@ fn learn_and_record<const D: usize>(
     let outcome = training.run(learner, guess, &mut |progress| match progress {
         Progress::Floor => bar.set_message("sampling floor"),
         Progress::Iteration(iteration) => {
-            bar.inc(1);
+            bar.set_position(iteration.index as u64);
             bar.set_message(format!("loss {:.2e}", iteration.evaluation.loss));
         }
         Progress::Warning(text) => bar.suspend(|| warn(text)),

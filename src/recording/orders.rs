@@ -46,7 +46,7 @@ pub(super) fn obey(
         match order {
             Order::Cloud { topic, times, message } => {
                 write_cloud(&mut sink, &topic, times, &message)?;
-                // Nobody waits for the memory of the last clouds.
+                // The memory of the last clouds is not waited for.
                 let _ = written.send(message);
             }
             Order::TrainStep(step) => {

@@ -213,7 +213,7 @@ fn control_group() -> Option<f64> {
     rooms.min_by(f64::total_cmp)
 }
 
-/// Bytes of files that a control group keeps in memory as long as they are in nobody's way.
+/// Bytes of files that a control group keeps in memory only while nothing else asks for it.
 fn reclaimable(folder: &std::path::Path) -> f64 {
     let stat = folder.join("memory.stat");
     let files = |key: &str| number_in(stat.to_str()?, key);
