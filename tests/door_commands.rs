@@ -146,7 +146,8 @@ fn a_model_of_recorded_particles_is_evaluated_against_them() {
     std::fs::remove_file(place.path("real.mcap")).unwrap();
     place.refuses("evaluate", &evaluate, &["no such file", "--truth FILE.mcap"]);
     // Asked for, a flow of the scene is what it is compared with.
-    let asked = [&evaluate[..], &["--truth", "flow.toml", "--steps", "5", "--every", "5"]].concat();
+    let asked =
+        [&evaluate[..], &["--truth", "flow.toml", "--steps", "10", "--every", "5"]].concat();
     place.json("evaluate", &asked);
     place.json("train", &["flow.toml", "--record", "own.mcap", "--json"]);
     place.json("train", &["flow.toml", "--truth", "flow.mcap", "--record", "other.mcap", "--json"]);

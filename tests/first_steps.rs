@@ -50,7 +50,10 @@ fn a_guess_that_diverges_at_once_is_left_for_another() {
 
 #[test]
 fn a_guess_of_no_sound_is_moved_off_the_edge() {
-    comes_home_with(&scene(&["learn.guess={c=0.0}"]), &["the guess c = 0", "begins at 0.5"]);
+    // A scene refuses such a guess; one that was made in code does not pass there.
+    let mut scene = scene(&[]);
+    scene.learn.as_mut().unwrap().guess.insert("c".to_owned(), 0.0);
+    comes_home_with(&scene, &["the guess c = 0", "begins at 0.5"]);
 }
 
 #[test]
@@ -62,7 +65,7 @@ fn a_search_in_which_nothing_can_be_evaluated_names_the_smoothing_length() {
     });
     let text = error.unwrap_err().to_string();
     println!("{text}");
-    for part in ["0.0 neighbours each", "set fluid.smoothing_length = 0.67", "at c = "] {
+    for part in ["0.3 neighbours each", "set fluid.smoothing_length = 0.6699", "at c = "] {
         assert!(text.contains(part), "no `{part}` in: {text}");
     }
 }

@@ -209,6 +209,6 @@ fn numbers_that_are_not_finite_are_refused() {
         arrays.write(("r.npy", 0.0), (&[FRAMES, PARTICLES, 2], Order::C), |x| {
             if x > 3.0 { bad } else { x }
         });
-        arrays.refused(&[], &["r.npy", "finite", "at [0, 0, "]);
+        arrays.refused(&[], &["r.npy", "finite", "at [0, 6, 0]"]);
     }
 }

@@ -77,14 +77,14 @@ fn bytes(place: &Place, name: &str) -> Vec<u8> {
     std::fs::read(place.path(name)).unwrap()
 }
 
-/// Arrays of one frame, as `import` gets them.
+/// Arrays of two frames, in which nothing moves.
 fn arrays(place: &Place) {
     use npyz::WriterBuilder as _;
-    for name in ["r.npy", "v.npy"] {
+    for (name, scale) in [("r.npy", 1.0), ("v.npy", 0.0)] {
         let file = std::fs::File::create(place.path(name)).unwrap();
         let options = npyz::WriteOptions::new().default_dtype().shape(&[2, 4, 3]).writer(file);
         let mut writer = options.begin_nd().unwrap();
-        writer.extend((0..24).map(|k| f64::from(k % 5))).unwrap();
+        writer.extend((0..24).map(|k| scale * f64::from(k % 12 * 5 % 12) / 2.0)).unwrap();
         writer.finish().unwrap();
     }
 }

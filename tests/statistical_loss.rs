@@ -275,7 +275,7 @@ fn a_truth_with_a_lost_velocity_is_refused() {
     truth.states[3].velocities[5][0] = f64::NAN;
     let error = truth.observations(&scene, scene.learning().unwrap()).unwrap_err();
     assert_eq!(error.exit_code(), 2);
-    assert!(error.to_string().contains("increments"), "{error}");
+    assert!(error.to_string().contains("velocity of particle 5 in frame 3"), "{error}");
 }
 
 #[test]

@@ -47,7 +47,8 @@ pub(super) fn check<const D: usize>(
         if gap > WIDEST * spacing {
             let found = format!(
                 "{name} from {low:.6} to {high:.6}, with nothing along {gap:.6} of the box; they look like those of a \
-                 box of {:.6}",
+                 box of {:.6} to {:.6}",
+                space.length - gap,
                 (space.length - gap) * per_axis / (per_axis - 1.0)
             );
             let expected = format!("particles all over a box of {}", space.length);
