@@ -47,7 +47,7 @@ pub trait Scalar:
 {
     /// Whether a kernel that is known at run time may be a table in these numbers. Loops over pairs in wide registers
     /// have no room for a call, so that flows with tables run in narrow ones, see
-    /// [`dispatch_by_kernel`](crate::scalar::dispatch_by_kernel).
+    /// [`dispatch_by_kernel`].
     const TABLES: bool = true;
 
     /// The number `x`, the same in every lane and with derivative zero.
