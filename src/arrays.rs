@@ -190,7 +190,7 @@ struct Header {
 }
 
 impl Header {
-    /// Reads it from the front of so many bytes; the error is what was found instead, and what to do.
+    /// Reads it from the front of a file; the error is what was found instead, and what to do.
     fn read(
         reader: &mut impl Read,
         bytes: u64,

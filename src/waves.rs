@@ -193,7 +193,7 @@ mod tests {
                 }
             }
             let found = waves.at::<3>(x);
-            // A phase of up to 64·2π·√2 is known to 1e-13; so many waves add at random.
+            // A phase of up to 64·2π·√2 is known to 1e-13; waves add at random.
             let round_off = 1e-13 * (waves.list().len() as f64).sqrt();
             for (found, expected) in found.0.into_iter().zip(expected) {
                 assert!((found - expected).abs() < round_off, "{found} against {expected}");

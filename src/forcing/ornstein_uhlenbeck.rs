@@ -26,7 +26,7 @@ use rand_distr::StandardNormal;
 /// The widest band that a scene may ask for: 1,100 waves in three dimensions.
 pub const WIDEST: f64 = 8.0;
 
-/// So many of the last steps are remembered, and so many marks over all steps.
+/// Number of the last steps that are remembered, and of marks over all steps.
 const KEPT: usize = 256;
 
 /// Words of the generator's stream that belong to a step, as a power of two: some four times what the

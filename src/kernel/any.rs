@@ -50,7 +50,7 @@ macro_rules! whichever {
     };
 }
 
-/// Whoever runs a pass has not asked whether its kernel is a table.
+/// A defect of the code that runs the pass, which has not asked whether its kernel is a table: no input leads here.
 #[cold]
 #[inline(never)]
 fn without_room() -> ! {

@@ -87,7 +87,7 @@ const ROUND_OFF: f64 = 1e-12;
 /// Where this share of what is observed is left over, the data are looked at.
 const POOR: f64 = 0.1;
 
-/// A search is at rest where one more step would take it by less than so many standard errors.
+/// A search is at rest where one more step would take it by less than this number of standard errors.
 const AT_REST: f64 = 0.1;
 
 /// A search by gradients is at rest where this share of its loss is all that a change of parameters by their own size

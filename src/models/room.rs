@@ -46,7 +46,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// Room for a model with so many scalar parameters and this network, or with none.
+    /// Room for a model with a number of scalar parameters and this network, or with none.
     pub fn new(scalars: usize, network: Option<&Learned>) -> Self {
         let zeros = |count: usize| vec![Lanes::ZERO; count];
         let plain = Self { scalars: zeros(scalars), stress_by: zeros(scalars), ..Self::default() };

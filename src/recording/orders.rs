@@ -73,7 +73,7 @@ pub(super) fn obey(
             }
             Order::Checkpoint(done) => {
                 sink.flush()?;
-                // Whoever asked may have gone; the flush is done all the same.
+                // The receiver may be gone; the flush is done all the same.
                 let _ = done.send(());
             }
             Order::Finish => named = true,

@@ -29,7 +29,7 @@ fn no_frame_is_lost_and_memory_stays_bounded_when_the_disk_stands_still() -> Res
     let folder = std::env::temp_dir().join(format!("whirls-still-{}", std::process::id()));
     let path = folder.join("still.mcap");
     let mut recorder = recorder(&path)?;
-    // The writing thread waits here until somebody takes its answer.
+    // The writing thread waits here until its answer is taken.
     let (done, wait) = sync_channel(0);
     recorder.order(Order::Checkpoint(done))?;
     let accepted = AtomicUsize::new(0);

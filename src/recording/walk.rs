@@ -68,7 +68,7 @@ impl<'a> Walk<'a> {
         Ok((bytes.len() as u64 == count).then_some(bytes))
     }
 
-    /// Goes on after so many bytes.
+    /// Goes on after a number of bytes.
     pub(super) fn skip(&mut self, count: u64) -> Result<()> {
         self.at += count;
         let buffered = self.file.buffer().len() as u64;

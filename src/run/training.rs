@@ -95,7 +95,7 @@ impl<const D: usize> Training<'_, D> {
         Ok(TrainingReport { kl_floor, pressure_error, ..report })
     }
 
-    /// What a search leaves that was interrupted after so many recorded iterations, and how to go on.
+    /// What a search leaves that was interrupted after a number of recorded iterations, and how to go on.
     fn kept(&self, recorded: usize) -> String {
         let file = self.record.unfinished().display();
         if recorded == 0 {

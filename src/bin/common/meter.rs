@@ -17,7 +17,7 @@ pub(crate) struct Meter {
 }
 
 impl Meter {
-    /// A meter of so many units; zero where their number is not known.
+    /// A meter of a number of units; zero where it is not known.
     pub(crate) fn new(length: u64, what: &'static str, template: &str) -> Self {
         let bar = ProgressBar::new(length);
         if let Ok(style) = ProgressStyle::with_template(template) {
