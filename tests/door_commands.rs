@@ -55,7 +55,7 @@ fn arrays_of_other_types_say_what_they_are_and_what_to_type() {
         ("'|b1'", ["'|b1'", "true or false", "astype(numpy.float64)"]),
         ("'|O'", ["Python objects", "different lengths", "numpy.stack(frames)"]),
         ("'<c16'", ["complex", "'<c16'", "a.real"]),
-        ("[('x', '<f8'), ('y', '<f8')]", ["named fields", "('x'", "numpy.stack"]),
+        ("[('x', '<f8'), ('y', '<f8')]", ["named fields", "('y', '<f8')]", "numpy.stack"]),
     ] {
         as_type(descr);
         import_refuses(&place, "other.npy", &parts);
@@ -63,7 +63,7 @@ fn arrays_of_other_types_say_what_they_are_and_what_to_type() {
     std::fs::write(place.path("a.npz"), b"PK\x03\x04 and so on").unwrap();
     import_refuses(&place, "a.npz", &["zip archive", "numpy.load('FILE.npz')['KEY']"]);
     import_refuses(&place, "flow.mcap", &["an MCAP recording", "--mcap"]);
-    import_refuses(&place, ".", &["a folder"]);
+    import_refuses(&place, ".", &["a folder", "give a file in it"]);
 }
 
 #[cfg(unix)]
