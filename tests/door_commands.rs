@@ -150,6 +150,8 @@ fn a_model_of_recorded_particles_is_evaluated_against_them() {
     place.json("evaluate", &asked);
     place.json("train", &["flow.toml", "--record", "own.mcap", "--json"]);
     place.json("train", &["flow.toml", "--truth", "flow.mcap", "--record", "other.mcap", "--json"]);
+    let few = ["21 frames: two pieces of the training's 10", "found 11 frames", "--truth SCENE"];
+    place.refuses("evaluate", &["other.mcap", "--quick", "--out", "few"], &few);
     let both = ["own.mcap", "other.mcap"];
     place.refuses("evaluate", &both, &["models learned from one truth", "a flow of its scene"]);
 }
