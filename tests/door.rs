@@ -227,7 +227,7 @@ fn densities_of_one_are_taken_for_missing_ones() {
 }
 
 #[test]
-fn densities_in_other_units_or_of_another_kernel_are_refused() {
+fn densities_in_other_units_are_refused() {
     let (own, mut si) = (scene(&[]), truth());
     si.densities.iter_mut().flatten().for_each(|rho| *rho *= 1000.0);
     refused(&si, (&own, &own), &["1000.0", "divide them by 1000.0"]);
@@ -236,12 +236,25 @@ fn densities_in_other_units_or_of_another_kernel_are_refused() {
     let text = import(folder.path(), true, None).unwrap_err().to_string();
     println!("{text}");
     assert!(text.contains("reference density of 1") && text.contains("divide them by"), "{text}");
-    let mut wide = truth();
+}
+
+#[test]
+fn densities_of_another_smoothing_length_are_refused_and_those_of_noise_are_not() {
+    let own = scene(&[]);
     let space = whirls::space::PeriodicBox { length: own.fluid.box_length };
-    for (state, rho) in wide.states.iter().zip(&mut wide.densities) {
-        *rho = summed_densities((own.fluid.kernel, 0.67), space, &state.positions);
+    for h in [0.67, 0.79, 0.81, 0.9] {
+        let mut other = truth();
+        for (state, rho) in other.states.iter().zip(&mut other.densities) {
+            *rho = summed_densities((own.fluid.kernel, h), space, &state.positions);
+        }
+        refused(&other, (&own, &own), &["lasting from frame to frame", "fluid.smoothing_length"]);
     }
-    refused(&wide, (&own, &own), &["alike for all particles", "fluid.smoothing_length"]);
+    let mut noisy = truth();
+    for (k, rho) in noisy.densities.iter_mut().flatten().enumerate() {
+        *rho *= 1.0 + 0.01 * (1.7 * (k * k % 977) as f64).sin();
+    }
+    let found = warned(&noisy, (&own, &own), &["the summed ones are taken"]);
+    assert!((found.densities[3][5] / truth().densities[3][5] - 1.0).abs() < 1e-12);
 }
 
 #[test]
