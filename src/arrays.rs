@@ -240,7 +240,7 @@ impl Header {
         let quote = after.chars().next()?;
         match quote {
             '\'' | '"' => after[1..].split(quote).next(),
-            '[' => after.split(']').next(),
+            '[' => after.split_inclusive(']').next(),
             _ => None,
         }
     }

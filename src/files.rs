@@ -84,8 +84,12 @@ pub(crate) fn must_be_a_file(path: &Path) -> Result<()> {
     if found.is_file() {
         return Ok(());
     }
-    let what =
-        if found.is_dir() { "a folder" } else { "a pipe or a device, which is read only once" };
-    let remedy = "save it first, as in `cat PIPE > FILE`, and give that file";
+    let (what, remedy) = match found.is_dir() {
+        true => ("a folder", "give a file in it"),
+        false => (
+            "a pipe or a device, which is read only once",
+            "save it first, as in `cat PIPE > FILE`, and give that file",
+        ),
+    };
     Err(Error::input(path.display(), "a file", what, remedy))
 }

@@ -55,7 +55,7 @@ fn arrays_of_other_types_say_what_they_are_and_what_to_type() {
         ("'|b1'", ["'|b1'", "true or false", "astype(numpy.float64)"]),
         ("'|O'", ["Python objects", "different lengths", "numpy.stack(frames)"]),
         ("'<c16'", ["complex", "'<c16'", "a.real"]),
-        ("[('x', '<f8'), ('y', '<f8')]", ["named fields", "('x'", "numpy.stack"]),
+        ("[('x', '<f8'), ('y', '<f8')]", ["named fields", "('y', '<f8')]", "numpy.stack"]),
     ] {
         as_type(descr);
         import_refuses(&place, "other.npy", &parts);
@@ -63,7 +63,7 @@ fn arrays_of_other_types_say_what_they_are_and_what_to_type() {
     std::fs::write(place.path("a.npz"), b"PK\x03\x04 and so on").unwrap();
     import_refuses(&place, "a.npz", &["zip archive", "numpy.load('FILE.npz')['KEY']"]);
     import_refuses(&place, "flow.mcap", &["an MCAP recording", "--mcap"]);
-    import_refuses(&place, ".", &["a folder"]);
+    import_refuses(&place, ".", &["a folder", "give a file in it"]);
 }
 
 #[cfg(unix)]
@@ -151,6 +151,8 @@ fn a_model_of_recorded_particles_is_evaluated_against_them() {
     place.json("evaluate", &asked);
     place.json("train", &["flow.toml", "--record", "own.mcap", "--json"]);
     place.json("train", &["flow.toml", "--truth", "flow.mcap", "--record", "other.mcap", "--json"]);
+    let few = ["21 frames: two pieces of the training's 10", "found 11 frames", "--truth SCENE"];
+    place.refuses("evaluate", &["other.mcap", "--quick", "--out", "few"], &few);
     let both = ["own.mcap", "other.mcap"];
     place.refuses("evaluate", &both, &["models learned from one truth", "a flow of its scene"]);
 }

@@ -205,12 +205,20 @@ fn pieces<const D: usize>(
 ) -> Result<Vec<whirls::truth::Truth<D>>> {
     let recording = Recording::open(path)?;
     let frames = recording.frame_count(whirls::recording::Flow::Truth);
+    let trained = plan.horizons[0];
     if arguments.steps.is_none() {
         plan.marks.steps = plan.marks.steps.min(frames.saturating_sub(1) as u64 / 2).max(1);
         plan.marks.every = plan.marks.every.min(plan.marks.steps);
-        plan.horizons = plan.horizons.map(|horizon| horizon.min(plan.marks.steps as usize));
+        plan.horizons[1] = plan.horizons[1].min(plan.marks.steps as usize);
     }
     let steps = plan.marks.steps as usize;
+    if arguments.steps.is_none() && steps < trained {
+        let expected =
+            format!("{} frames: two pieces of the training's {trained}", 2 * trained + 1);
+        let remedy =
+            "record a longer flow, or compare with a flow that a scene makes: --truth SCENE";
+        return Err(Error::input(path.display(), expected, format!("{frames} frames"), remedy));
+    }
     let count = (frames.saturating_sub(1) / steps).min(plan.realisations as usize);
     if count < 2 {
         return Err(Error::input(

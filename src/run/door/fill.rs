@@ -43,6 +43,10 @@ pub(super) fn check<const D: usize>(
             say_flat(state, (axis, low), findings)?;
             continue;
         }
+        if high - low > 1.02 * space.length {
+            check_folded(state, space, (name, low, high), findings)?;
+            continue;
+        }
         let gap = widest_gap(&along, space);
         if gap > WIDEST * spacing {
             let found = format!(
@@ -53,9 +57,6 @@ pub(super) fn check<const D: usize>(
             );
             let expected = format!("particles all over a box of {}", space.length);
             return findings.refuse(expected, found, FILLED);
-        }
-        if high - low > 1.02 * space.length {
-            check_folded(state, space, (name, low, high), findings)?;
         }
     }
     Ok(())

@@ -140,7 +140,7 @@ fn check_numbers<const D: usize>(
             let expected = format!("a usable {what} of particle {i} in frame {k}");
             let remedy =
                 "correct that number, or leave out the particle or the frames from there on";
-            return findings.never(expected, found, remedy);
+            return findings.never(expected, format!("{found:?}"), remedy);
         }
     }
     Ok(())
