@@ -111,37 +111,11 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
     type ByParameter<W: Wide> = [W; 3];
     type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
+    const IS_FLUID: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true
-    }
-
-    fn has_later_parameters(&self) -> bool {
-        self.medium.kernel_scalars() > 0
-    }
-
-    #[inline(always)]
-    fn by_later_parameter<W: Wide>(
-        &self,
-        pairs: &Batch<W, D>,
-        parameter: usize,
-        _: &mut Room,
-    ) -> Option<Vector<W, D>> {
-        self.medium.by_kernel(pairs, pairs.stress_i + pairs.stress_j, parameter)
-    }
-
-    fn parts(&self) -> &'static [&'static str] {
-        &["pressure", "viscosity"]
-    }
-
-    #[inline(always)]
-    fn part_of_force<W: Wide>(
-        &self,
-        part: usize,
-        pairs: &Batch<W, D>,
-        _: &mut Room,
-    ) -> Vector<W, D> {
-        self.medium.part_of_force(part, pairs)
     }
 
     #[inline(always)]

@@ -54,20 +54,6 @@ impl<const D: usize> GradP<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric })
     }
 
-    /// `S NN` in place of `Aᵢ + Aⱼ`.
-    #[inline(always)]
-    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
-        if self.antisymmetric {
-            room.input[0] = (pairs.pair.r2.sqrt() / self.units.length).store();
-        } else {
-            for axis in 0..D {
-                room.input[axis] = (pairs.separation[axis] / self.units.length).store();
-            }
-        }
-        self.network.value(room);
-        W::load(&room.output[0]) * self.units.stress
-    }
-
     /// From derivatives by the network's inputs to those by `rᵢⱼ`.
     #[inline(always)]
     fn by_separation<W: Wide>(&self, pairs: &Batch<W, D>, by_input: &[Lanes]) -> Vector<W, D> {
@@ -94,43 +80,26 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
     type ByParameter<W: Wide> = [W; 3];
     type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
 
+    const HAS_NETWORK: bool = true;
+    const IS_FLUID: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         self.antisymmetric
     }
 
-    fn has_network(&self) -> bool {
-        true
-    }
-
-    fn has_later_parameters(&self) -> bool {
-        self.medium.kernel_scalars() > 0
-    }
-
+    /// `S NN` in place of `Aᵢ + Aⱼ`.
     #[inline(always)]
-    fn by_later_parameter<W: Wide>(
-        &self,
-        pairs: &Batch<W, D>,
-        parameter: usize,
-        room: &mut Room,
-    ) -> Option<Vector<W, D>> {
-        let stresses = self.stresses(pairs, room);
-        self.medium.by_kernel(pairs, stresses, parameter)
-    }
-
-    fn parts(&self) -> &'static [&'static str] {
-        &["pressure", "viscosity"]
-    }
-
-    #[inline(always)]
-    fn part_of_force<W: Wide>(
-        &self,
-        part: usize,
-        pairs: &Batch<W, D>,
-        room: &mut Room,
-    ) -> Vector<W, D> {
-        let stresses = self.stresses(pairs, room);
-        pairs.separation * self.medium.strengths(&pairs.pair, stresses)[part]
+    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
+        if self.antisymmetric {
+            room.input[0] = (pairs.pair.r2.sqrt() / self.units.length).store();
+        } else {
+            for axis in 0..D {
+                room.input[axis] = (pairs.separation[axis] / self.units.length).store();
+            }
+        }
+        self.network.value(room);
+        W::load(&room.output[0]) * self.units.stress
     }
 
     #[inline(always)]

@@ -177,13 +177,6 @@ impl<const D: usize> Medium<D> {
         }
     }
 
-    /// The pressure or the viscosity of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
-    #[inline(always)]
-    pub fn part_of_force<W: Wide>(&self, part: usize, pairs: &Batch<W, D>) -> Vector<W, D> {
-        let strengths = self.strengths(&pairs.pair, pairs.stress_i + pairs.stress_j);
-        pairs.separation * strengths[part]
-    }
-
     /// The linearised force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
     #[inline(always)]
     pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
@@ -191,19 +184,17 @@ impl<const D: usize> Medium<D> {
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
     }
 
-    /// `∂f/∂` of a parameter of the kernel, of eight pairs whose stresses sum to `X`: `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`; `None`
-    /// for a place among the scalars that is not the kernel's.
+    /// `∂f/∂p` by a parameter of the kernel's shape, of eight pairs whose stresses sum to `X`: `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`.
     #[inline(always)]
     pub fn by_kernel<W: Wide>(
         &self,
         pairs: &Batch<W, D>,
         stresses: W,
-        scalar: usize,
-    ) -> Option<Vector<W, D>> {
-        let parameter = scalar.checked_sub(FluidConstants::COUNT)?;
+        parameter: usize,
+    ) -> Vector<W, D> {
         let by = self.smoothing.gradient_by(parameter, pairs.pair.r2.sqrt());
         let viscous = monaghan(&pairs.pair, self.smoothing.h, &self.viscosity());
-        Some(pairs.separation * ((stresses + viscous) * by * -self.mass))
+        pairs.separation * ((stresses + viscous) * by * -self.mass)
     }
 
     /// The pullback of the force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.

@@ -285,17 +285,28 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     /// then keeps its numbers in registers.
     const IS_NUMBERS: bool = false;
 
+    /// Whether the force is that of a fluid, Eq. (7), at [stresses](PairLaw::stresses) of the law's own. Its parts and
+    /// its derivative by the kernel's shape follow from the [`Medium`].
+    const IS_FLUID: bool = false;
+
+    /// Names of the parts that its force is told by in reports.
+    const PARTS: &'static [&'static str] =
+        if Self::IS_FLUID { &["pressure", "viscosity"] } else { &["pair force"] };
+
+    /// Whether the pair force holds the model's network.
+    const HAS_NETWORK: bool = false;
+
+    /// Whether the pair force depends on the kernel's shape, whose parameters are the last of the law's scalars.
+    const HAS_KERNEL: bool = Self::IS_FLUID;
+
     /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
     fn is_antisymmetric(&self) -> bool;
 
-    /// Whether the pair force holds the model's network.
-    fn has_network(&self) -> bool {
-        false
-    }
-
-    /// Names of the parts that its force is told by in reports.
-    fn parts(&self) -> &'static [&'static str] {
-        &["pair force"]
+    /// The sum `X` of what eight pairs of a fluid are pressed apart by, `Aᵢ + Aⱼ`.
+    #[inline(always)]
+    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
+        let _ = room;
+        pairs.stress_i + pairs.stress_j
     }
 
     /// One of the parts of [`PairLaw::force`].
@@ -306,25 +317,26 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
         pairs: &Batch<W, D>,
         room: &mut Room,
     ) -> Vector<W, D> {
-        let _ = part;
+        if Self::IS_FLUID {
+            let stresses = self.stresses(pairs, room);
+            return pairs.separation * self.medium().strengths(&pairs.pair, stresses)[part];
+        }
         self.force(pairs, room)
     }
 
-    /// Whether the pair force depends on scalar parameters beyond the first.
-    fn has_later_parameters(&self) -> bool {
-        false
-    }
-
-    /// `∂f/∂` of such a parameter, by its place among the law's scalars.
+    /// `∂f/∂p` by a parameter of the kernel's shape, where the law [has one](PairLaw::HAS_KERNEL).
     #[inline(always)]
-    fn by_later_parameter<W: Wide>(
+    fn by_kernel<W: Wide>(
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
         room: &mut Room,
-    ) -> Option<Vector<W, D>> {
-        let _ = (pairs, parameter, room);
-        None
+    ) -> Vector<W, D> {
+        if Self::IS_FLUID {
+            let stresses = self.stresses(pairs, room);
+            return self.medium().by_kernel(pairs, stresses, parameter);
+        }
+        Vector::zero()
     }
 
     /// The acceleration `fᵢⱼ` that eight neighbours each give to particle `i`.

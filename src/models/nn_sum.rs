@@ -88,13 +88,11 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     type ByParameter<W: Wide> = [W; 0];
     type Slope<W: Wide> = GeneralSlope<W, D, 0, MatrixRows>;
 
+    const HAS_NETWORK: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         self.antisymmetric
-    }
-
-    fn has_network(&self) -> bool {
-        true
     }
 
     #[inline(always)]

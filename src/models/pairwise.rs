@@ -13,7 +13,6 @@ use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use std::mem::ManuallyDrop;
-use std::ops::Range;
 
 impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     fn boxed(&self) -> Box<dyn Model<D>> {
@@ -25,11 +24,15 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn part_names(&self) -> &'static [&'static str] {
-        PairLaw::parts(self)
+        L::PARTS
     }
 
     fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        run(self, hood, PartPass { law: self, part, hood, room, out });
+        if const { L::PARTS.len() > 1 } {
+            run(self, hood, PartPass { law: self, part, hood, room, out });
+        } else {
+            self.accelerations(hood, room, ForceOutput { accelerations: out, add: false });
+        }
     }
 
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes) {
@@ -37,11 +40,15 @@ impl<L: PairLaw<D>, const D: usize> Model<D> for L {
     }
 
     fn has_force_network(&self) -> bool {
-        self.has_network()
+        L::HAS_NETWORK
     }
 
     fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]) {
-        run(self, hood, WeightPass { law: self, hood, first, room, out });
+        if const { L::HAS_NETWORK } {
+            run(self, hood, WeightPass { law: self, hood, first, room, out });
+        } else {
+            out.fill(0.0);
+        }
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -190,12 +197,10 @@ fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
         return;
     }
     slope.add_by_parameter(parameters);
-    if law.has_later_parameters() {
-        let first = <L::ByParameter<W> as Slots<W>>::zero().as_ref().len();
-        for (parameter, sums) in parameters.chunks_exact_mut(D).enumerate().skip(first) {
-            if let Some(by) = law.by_later_parameter(batch, parameter, room) {
-                add_lanes(sums, by);
-            }
+    if const { W::TABLES && L::HAS_KERNEL } {
+        let first = parameters.len() / D - law.medium().kernel_scalars();
+        for (parameter, sums) in parameters.chunks_exact_mut(D).skip(first).enumerate() {
+            add_lanes(sums, law.by_kernel(batch, parameter, room));
         }
     }
 }
@@ -257,8 +262,6 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
         let law: &L = &copy;
         let both = law.is_antisymmetric();
         let mut parameters = <L::ByParameter<W::Double> as Slots<W::Double>>::zero();
-        let first = parameters.as_ref().len();
-        let later = if law.has_later_parameters() { first..law.scalars() } else { first..first };
         for k in 0..near.len() {
             let slot = near.first + k;
             let mut sum = PairCotangent::<W::Double, D, L::ByParameter<W::Double>>::zero();
@@ -286,8 +289,8 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
         for (total, sum) in room.scalars.iter_mut().zip(parameters.as_ref()) {
             *total += sum.store();
         }
-        if !later.is_empty() {
-            pull_to_later::<W, L, D>((law, room), (lines, near, space), forces, later);
+        if const { W::TABLES && L::HAS_KERNEL } {
+            pull_to_kernel::<W, L, D>((law, room), (lines, near, space), forces);
         }
         if W::TABLES || !L::IS_NUMBERS {
             drop(ManuallyDrop::into_inner(copy));
@@ -320,24 +323,27 @@ fn across<W: Wide, const D: usize>(
     across
 }
 
-/// The sums of the parameters behind a law's first, in a loop of their own: few flows have them.
+/// The sums of the kernel's parameters, the last of a law's scalars, in a loop of their own: few flows have them.
 #[inline(always)]
-fn pull_to_later<W: Wide, L: PairLaw<D>, const D: usize>(
+fn pull_to_kernel<W: Wide, L: PairLaw<D>, const D: usize>(
     (law, room): (&L, &mut Room),
     (lines, near, space): (Lines<'_>, &Near, PeriodicBox),
     forces: &[PackedAdjoint],
-    parameters: Range<usize>,
 ) {
+    let count = law.medium().kernel_scalars();
+    let first = law.scalars() - count;
+    if count == 0 {
+        return;
+    }
     for k in 0..near.len() {
         let (slot, space) = (near.first + k, near.around(k, space));
         for eight in near.neighbours(k) {
             let batch = Batch::<W, D>::read(lines, slot, eight, space);
             let across = across::<W, D>(forces, (slot, eight), law.is_antisymmetric());
-            for parameter in parameters.clone() {
-                if let Some(by) = law.by_later_parameter(&batch, parameter, room) {
-                    let sum = &mut room.scalars[parameter];
-                    *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
-                }
+            for parameter in 0..count {
+                let by = law.by_kernel(&batch, parameter, room);
+                let sum = &mut room.scalars[first + parameter];
+                *sum = (W::Double::load(sum) + by.dot(across).widen()).store();
             }
         }
     }

@@ -134,13 +134,11 @@ impl<const D: usize> PairLaw<D> for RotInv<D> {
     type ByParameter<W: Wide> = [W; 0];
     type Slope<W: Wide> = CentralSlope<W, D>;
 
+    const HAS_NETWORK: bool = true;
+
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         self.antisymmetric
-    }
-
-    fn has_network(&self) -> bool {
-        true
     }
 
     #[inline(always)]

@@ -65,27 +65,24 @@ impl<const D: usize> PairLaw<D> for MonaghanCleary<D> {
     type Slope<W: Wide> = CentralSlope<W, D, [W; 1]>;
 
     const IS_NUMBERS: bool = true;
+    const HAS_KERNEL: bool = true;
 
     #[inline(always)]
     fn is_antisymmetric(&self) -> bool {
         true
     }
 
-    fn has_later_parameters(&self) -> bool {
-        self.medium.kernel_scalars() > 0
-    }
-
     #[inline(always)]
-    fn by_later_parameter<W: Wide>(
+    fn by_kernel<W: Wide>(
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
         _: &mut Room,
-    ) -> Option<Vector<W, D>> {
+    ) -> Vector<W, D> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
-        let by = smoothing.gradient_by(parameter - 1, pair.r2.sqrt());
+        let by = smoothing.gradient_by(parameter, pair.r2.sqrt());
         let under = (pair.r2 + EPSILON * smoothing.h * smoothing.h) * (pair.rho_i + pair.rho_j);
-        Some(pairs.separation * (by * pair.approach / under * (self.factor() * self.nu)))
+        pairs.separation * (by * pair.approach / under * (self.factor() * self.nu))
     }
 
     #[inline(always)]
