@@ -79,14 +79,19 @@ fn bytes(place: &Place, name: &str) -> Vec<u8> {
 
 /// Arrays of two frames, in which nothing moves.
 fn arrays(place: &Place) {
+    let position = |k: u64| (k % 12 * 5 % 12) as f64 / 2.0;
+    write_array((place, "r.npy"), [2, 4, 3], position);
+    write_array((place, "v.npy"), [2, 4, 3], |_| 0.0);
+}
+
+/// An array, number by number.
+fn write_array((place, name): (&Place, &str), shape: [u64; 3], of: impl Fn(u64) -> f64) {
     use npyz::WriterBuilder as _;
-    for (name, scale) in [("r.npy", 1.0), ("v.npy", 0.0)] {
-        let file = std::fs::File::create(place.path(name)).unwrap();
-        let options = npyz::WriteOptions::new().default_dtype().shape(&[2, 4, 3]).writer(file);
-        let mut writer = options.begin_nd().unwrap();
-        writer.extend((0..24).map(|k| scale * f64::from(k % 12 * 5 % 12) / 2.0)).unwrap();
-        writer.finish().unwrap();
-    }
+    let file = std::io::BufWriter::new(std::fs::File::create(place.path(name)).unwrap());
+    let options = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file);
+    let mut writer = options.begin_nd().unwrap();
+    writer.extend((0..shape.iter().product()).map(of)).unwrap();
+    writer.finish().unwrap();
 }
 
 const IMPORT: [&str; 7] =
@@ -299,6 +304,23 @@ fn a_signal_ends_every_other_command_without_half_a_result() {
 }
 
 #[test]
+fn a_signal_ends_an_import_without_half_a_recording() {
+    let place = Place::new();
+    let shape = [200, 4096, 3];
+    // A lattice of sixteen particles a side at rest: axis `k % 3` of particle `k / 3 % 4096`.
+    let along = |k: u64| ((k / 3 % 4096) >> (4 * (k % 3))) % 16;
+    write_array((&place, "r.npy"), shape, |k| along(k) as f64 * std::f64::consts::TAU / 16.0);
+    write_array((&place, "v.npy"), shape, |_| 0.0);
+    let mut child = place.command("import", &with(&IMPORT, &["x.mcap"]));
+    let child = child.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    listening(child.id());
+    let done = stopped(child, "-INT");
+    assert_eq!(done.code, Some(130), "{}", done.err);
+    assert!(done.err.contains("interrupted by SIGINT: nothing was written"), "{}", done.err);
+    assert!(!place.path("x.mcap").exists() && leftovers(&place.path("x.mcap")).is_empty());
+}
+
+#[test]
 fn a_full_disk_is_told_as_what_it_is() {
     let place = Place::new();
     arrays(&place);
@@ -364,9 +386,10 @@ fn a_run_too_large_for_the_memory_is_refused_with_the_estimate() {
     let large =
         ["inverse-3d", "--set=fluid.particles_per_side=160", "--set=fluid.smoothing_length=0.0335"];
     let adam = "--set=learn.optimiser={kind='adam',rate=0.1}";
-    let runs: [(&str, &[&str]); 4] = [
+    let runs: [(&str, &[&str]); 5] = [
         ("simulate", &large),
         ("train", &large),
+        ("trade", &large),
         ("train", &["inverse-3d", "--set=learn.mesh=406"]),
         ("train", &["inverse-3d", adam, "--set=learn.frames=3000"]),
     ];

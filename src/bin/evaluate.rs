@@ -15,7 +15,9 @@ use std::process::ExitCode;
 use whirls::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
 use whirls::output::Output;
 use whirls::recording::Recording;
-use whirls::run::{EvaluationFiles, Guard, Origin, admit, must_be_trained, write_evaluation};
+use whirls::run::{
+    EvaluationFiles, Guard, Origin, admit, must_be_trained, simulation_must_fit, write_evaluation,
+};
 use whirls::trade::settle;
 use whirls::{Error, Flow, Result, Scene, interrupt};
 
@@ -176,6 +178,7 @@ fn run<const D: usize>(
         None => Source::Scene,
         Some(path) => Source::Recorded(pieces::<D>(path, (arguments, scene), &mut plan)?),
     };
+    simulation_must_fit::<D>(scene)?;
     let bar = progress(plan.work(candidates.len()), "evaluate");
     let evaluation = evaluate::<D>((scene, source), candidates, plan, &mut || bar.inc(1));
     bar.finish_and_clear();

@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use whirls::kernel::KernelChoice;
 use whirls::output::Output;
 use whirls::run::{Guard, Import, Imported, Origins};
-use whirls::{Error, Result};
+use whirls::{Error, Result, interrupt};
 
 /// Makes a recording of .npy arrays [frames, particles, dimension], or of point clouds in an MCAP file, to learn from
 /// with `train SCENE --truth FILE.mcap`.
@@ -60,6 +60,8 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    // Where signals cannot be kept they end the command as they always did.
+    drop(interrupt::listen());
     conclude(import(Arguments::parse()))
 }
 

@@ -20,8 +20,8 @@ use whirls::interrupt;
 use whirls::output::Output;
 use whirls::recording::{self, Level};
 use whirls::run::{
-    Given, Guard, Requirements, admit_state, begin_recording, must_fit, run_info, run_recorded,
-    simulation_bytes,
+    Given, Guard, Requirements, admit_state, begin_recording, run_info, run_recorded,
+    simulation_must_fit,
 };
 use whirls::scene::Chosen;
 use whirls::statistics::conservation;
@@ -96,7 +96,7 @@ fn main() -> ExitCode {
 
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let output = reserve_output(arguments, scene)?;
-    must_fit(simulation_bytes::<D>(scene), scene, "take fewer fluid.particles_per_side")?;
+    simulation_must_fit::<D>(scene)?;
     let waiting = progress(0, "start");
     let (given, warnings) = match &arguments.from {
         None => (None, Vec::new()),

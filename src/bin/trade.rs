@@ -16,7 +16,9 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use whirls::output::Output;
-use whirls::run::{Guard, PriceFiles, Requirements, write_prices};
+use whirls::run::{
+    Guard, PriceFiles, Requirements, simulation_must_fit, training_must_fit, write_prices,
+};
 use whirls::trade::{Plan, Prices, price_flows, price_gradients, price_learning, report, settle};
 use whirls::truth::Truth;
 use whirls::{Flow, Result, Scene, interrupt};
@@ -70,6 +72,8 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         let found = Requirements::of_flow(scene, &mut flow, false);
         return explain(&[found], arguments.common.json);
     }
+    simulation_must_fit::<D>(scene)?;
+    training_must_fit::<D>(scene)?;
     let plan = plan(arguments);
     let default = PathBuf::from(format!("recordings/trade-{}", scene.name));
     let folder = arguments.out.clone().unwrap_or(default);

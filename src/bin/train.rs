@@ -26,8 +26,8 @@ use whirls::output::Output;
 #[cfg(feature = "viewer")]
 use whirls::recording::Recording;
 use whirls::run::{
-    Earlier, Given, Guard, Lesson, Progress, Requirements, Training, TrainingReport, must_fit,
-    settle_training, training_bytes,
+    Earlier, Given, Guard, Lesson, Progress, Requirements, Training, TrainingReport,
+    settle_training, training_must_fit,
 };
 use whirls::{Error, Result, Scene};
 
@@ -96,7 +96,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         ));
     }
     let output = reserve_output(arguments, scene)?;
-    must_fit(training_bytes::<D>(scene), scene, LESS)?;
+    training_must_fit::<D>(scene)?;
     let waiting = progress(0, "truth");
     let force = arguments.force;
     let given = arguments.truth.as_deref().map(|path| Given { path, force });
@@ -132,10 +132,6 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     }
     show_live(arguments, &report.recording)
 }
-
-/// What takes less memory.
-const LESS: &str = "take fewer fluid.particles_per_side, learn.frames or learn.mesh, or keep less of the way to an \
-                    adjoint with learn.storage = { checkpoints = 8 }";
 
 /// The recording's place, where there is one to be.
 fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {

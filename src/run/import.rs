@@ -4,6 +4,7 @@ use super::door::{Findings, Kernel, check_itself, misses, sum_where_missing, tru
 use crate::arrays::Array;
 use crate::error::{Error, Result};
 use crate::flow::State;
+use crate::interrupt;
 use crate::kernel::KernelChoice;
 use crate::output::Output;
 use crate::recording::{Clouds, Flow, Frame, Numbered, Recorder, RunInfo};
@@ -158,6 +159,7 @@ impl Import {
         let findings = Findings::new(format!("{}, {topic}", file.display()), self.force);
         let (mut frames, mut times) = (Vec::new(), Vec::new());
         for k in 0..clouds.count(&topic) {
+            interrupt::check()?;
             let particles = clouds.particles(&topic, k)?;
             times.push(particles.time);
             frames.push(particles.numbered);
@@ -195,6 +197,8 @@ impl Import {
         let mut recorder =
             Recorder::begin(self.out.clone(), &self.run_info(&truth, dt, densities))?;
         for (k, (state, densities)) in truth.states.iter().zip(&truth.densities).enumerate() {
+            // A part of the frames would be no truth to learn from.
+            interrupt::check().inspect_err(|_| self.out.discard())?;
             let inside = |r: &Vector<f64, D>| space.wrap(*r).0;
             recorder.frame(
                 Flow::Truth,

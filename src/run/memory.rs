@@ -41,11 +41,25 @@ impl Room {
     }
 }
 
-/// Refuses a run for which there is no room.
+/// Refuses a simulation for which there is no room.
 ///
 /// # Errors
 /// [`Error::Input`] where the estimate is more than there is.
-pub fn must_fit(bytes: f64, scene: &Scene, remedy: &str) -> Result<()> {
+pub fn simulation_must_fit<const D: usize>(scene: &Scene) -> Result<()> {
+    must_fit(simulation_bytes::<D>(scene), scene, "take fewer fluid.particles_per_side")
+}
+
+/// Refuses a training for which there is no room.
+///
+/// # Errors
+/// [`Error::Input`] where the estimate is more than there is.
+pub fn training_must_fit<const D: usize>(scene: &Scene) -> Result<()> {
+    let remedy = "take fewer fluid.particles_per_side, learn.frames or learn.mesh, or keep less of the way to an \
+                  adjoint with learn.storage = { checkpoints = 8 }";
+    must_fit(training_bytes::<D>(scene), scene, remedy)
+}
+
+fn must_fit(bytes: f64, scene: &Scene, remedy: &str) -> Result<()> {
     let Some(room) = Room::now().filter(|room| room.bytes < bytes) else { return Ok(()) };
     let particles = scene.particles();
     Err(Error::input(

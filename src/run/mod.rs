@@ -19,7 +19,7 @@ pub use guard::{Guard, command_of};
 pub use import::{Import, Imported, Origins};
 pub use learned::{Losses, Seconds, TrainingReport};
 pub use lesson::{Lesson, settle_training};
-pub use memory::{Room, must_fit, simulation_bytes, training_bytes};
+pub use memory::{Room, simulation_bytes, simulation_must_fit, training_bytes, training_must_fit};
 pub use origin::{Origin, must_be_trained};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::evaluation::{Candidate, Plan, Source, evaluate};
 use crate::learn::Learner;
 use crate::output::Output;
-use crate::report::Report;
+use crate::report::{Cell, Report, Role, Row, Table};
 use crate::scene::{Forcing, Optimiser, Scene, SpinUp, Weights};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -149,6 +149,14 @@ struct Done<T> {
     result: T,
 }
 
+/// What came of a training.
+#[derive(Debug, Serialize, Deserialize)]
+enum Trained {
+    Learned(Box<TrainingReport>),
+    /// It ended without a model, and why.
+    Failed(String),
+}
+
 impl Reproduction {
     fn scene(&self, study: Study, model: &str) -> Result<Scene> {
         Ok(Scene { seed: self.seed, ..study.scene(model, self.quick)? })
@@ -193,10 +201,13 @@ impl Reproduction {
         })
     }
 
-    fn trained(&self, study: Study, model: &str) -> Result<Option<TrainingReport>> {
-        let of = self.scene(study, model)?.to_toml();
+    fn trained(&self, study: Study, model: &str) -> Result<Option<Trained>> {
+        let of = of_this_version(&self.scene(study, model)?.to_toml());
         let done = remembered(&self.file(study, &format!("{model}.done.json")), &of);
-        Ok(done.filter(|_| self.file(study, &format!("{model}.mcap")).exists()))
+        Ok(done.filter(|done| {
+            matches!(done, Trained::Failed(_))
+                || self.file(study, &format!("{model}.mcap")).exists()
+        }))
     }
 
     fn evaluated(&self, study: Study) -> Result<Option<Report>> {
@@ -207,14 +218,14 @@ impl Reproduction {
     fn evaluation_of(&self, study: Study) -> Result<String> {
         let scenes = MODELS.iter().map(|model| Ok(self.scene(study, model)?.to_toml()));
         let scenes = scenes.collect::<Result<Vec<_>>>()?;
-        Ok(format!("{:?}\n{}", self.plan(10), scenes.join("\n")))
+        Ok(of_this_version(&format!("{:?}\n{}", self.plan(10), scenes.join("\n"))))
     }
 
     /// Does a stage, and remembers that it is done; `tick` is called with the share of it that is done
     /// and a word on how it goes.
     ///
     /// # Errors
-    /// As [`Training::run`] and [`evaluate`].
+    /// As [`Training::run`] and [`evaluate`]; a training that diverges is a result, and no error.
     pub fn run(&self, stage: Stage, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
         match stage {
             Stage::Train(study, model) => self.train(study, model, tick),
@@ -236,18 +247,27 @@ impl Reproduction {
                 let share = (iteration.index as f64 / most).min(1.0);
                 tick(share, &format!("loss {:.2e}", iteration.evaluation.loss));
             }
-        })?;
+        });
+        let result = match report {
+            Ok(report) => Trained::Learned(Box::new(report)),
+            Err(error @ Error::Diverged { .. }) => Trained::Failed(error.to_string()),
+            Err(error) => return Err(error),
+        };
         let file = self.file(study, &format!("{model}.done.json"));
-        remember(&file, Done { of: scene.to_toml(), result: report })
+        remember(&file, Done { of: of_this_version(&scene.to_toml()), result })
     }
 
     fn evaluate(&self, study: Study, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
         let mut candidates = Vec::new();
         for model in MODELS {
+            let Some(Trained::Learned(report)) = self.trained(study, model)? else { continue };
             let mut candidate = Candidate::open::<3>(&self.file(study, &format!("{model}.mcap")))?;
-            let report = self.trained(study, model)?;
-            candidate.seconds = report.map(|report| report.seconds.train);
+            candidate.seconds = Some(report.seconds.train);
             candidates.push(candidate);
+        }
+        if candidates.is_empty() {
+            let remedy = "look at its first recording with `replay`";
+            return Err(Error::input(study.name(), "a model that was learned", "none", remedy));
         }
         let trained = candidates[0].learn()?.frames;
         let plan = self.plan(trained);
@@ -261,6 +281,25 @@ impl Reproduction {
         let files = write_evaluation(&evaluation, self.facts(), (&folder, true))?;
         let of = self.evaluation_of(study)?;
         remember(&self.file(study, "evaluation.done.json"), Done { of, result: files.report })
+    }
+
+    /// The models of a study that could not be learned, with why; none where all could.
+    fn failures(&self, study: Study) -> Result<Option<Table>> {
+        let mut rows = Vec::new();
+        for model in MODELS {
+            if let Some(Trained::Failed(reason)) = self.trained(study, model)? {
+                let (name, cells) = (model.to_owned(), vec![Cell::Text(reason)]);
+                rows.push(Row { name, role: Role::Model, cells });
+            }
+        }
+        Ok((!rows.is_empty()).then(|| Table {
+            name: "failures".to_owned(),
+            title: "Models that were not learned".to_owned(),
+            caption: "Their training ended without a model; the other tables are without them."
+                .to_owned(),
+            columns: vec!["model".to_owned(), "why".to_owned()],
+            rows,
+        }))
     }
 
     /// How to repeat it.
@@ -302,6 +341,7 @@ impl Reproduction {
             };
             let name = study.name();
             whole.about.push(format!("{name}: {}", study.about()));
+            report.tables.extend(self.failures(study)?);
             for table in &mut report.tables {
                 (table.name, table.title) =
                     (format!("{name}-{}", table.name), format!("{} ({name})", table.title));
@@ -317,6 +357,11 @@ impl Reproduction {
         write(&self.folder.join("reproduction.html"), &whole.html()?)?;
         Ok(whole)
     }
+}
+
+/// What changes a result: its scenes, and the version that computed it.
+fn of_this_version(scenes: &str) -> String {
+    format!("whirls {}\n{scenes}", env!("CARGO_PKG_VERSION"))
 }
 
 /// Milliseconds of one iteration on 4096 particles, roughly.
@@ -342,4 +387,37 @@ fn remembered<T: for<'a> Deserialize<'a>>(file: &Path, of: &str) -> Option<T> {
     let text = std::fs::read_to_string(file).ok()?;
     let done: Done<T> = serde_json::from_str(&text).ok()?;
     (done.of == of).then_some(done.result)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may stop here")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_training_that_diverges_is_a_row_and_does_not_end_the_reproduction() {
+        let folder = tempfile::tempdir().unwrap();
+        let reproduction = Reproduction { folder: folder.path().to_owned(), quick: true, seed: 1 };
+        let stage = Stage::Train(Study::Field, "node");
+        let of = of_this_version(&reproduction.scene(Study::Field, "node").unwrap().to_toml());
+        let result = Trained::Failed("the flow diverged at step 3".to_owned());
+        std::fs::create_dir_all(folder.path().join("field")).unwrap();
+        remember(&folder.path().join("field/node.done.json"), Done { of, result }).unwrap();
+        assert!(reproduction.is_done(stage).unwrap());
+        let table = reproduction.failures(Study::Field).unwrap().unwrap();
+        assert_eq!((table.rows.len(), &table.rows[0].name[..]), (1, "node"));
+        assert_eq!(table.rows[0].cells, [Cell::Text("the flow diverged at step 3".to_owned())]);
+        assert_eq!(reproduction.failures(Study::Developed).unwrap(), None);
+    }
+
+    #[test]
+    fn results_of_another_version_are_not_taken_for_those_of_this_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let reproduction = Reproduction { folder: folder.path().to_owned(), quick: true, seed: 1 };
+        let of = reproduction.scene(Study::Field, "node").unwrap().to_toml();
+        let (of, result) = (format!("whirls 0.0.0\n{of}"), Trained::Failed(String::new()));
+        std::fs::create_dir_all(folder.path().join("field")).unwrap();
+        remember(&folder.path().join("field/node.done.json"), Done { of, result }).unwrap();
+        assert!(!reproduction.is_done(Stage::Train(Study::Field, "node")).unwrap());
+    }
 }
