@@ -15,7 +15,7 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// A law between pairs of particles, with the places of its parameters in the flat vector.
+/// A pair law, with the places of its parameters in the flat vector.
 #[derive(Debug)]
 pub struct PairTerm<const D: usize> {
     /// Its name.
@@ -24,12 +24,12 @@ pub struct PairTerm<const D: usize> {
     pub model: Box<dyn Model<D>>,
     /// Places of its parameters: scalars, then the weights of its network.
     pub places: Vec<usize>,
-    /// Rooms in which threads evaluate it.
+    /// Scratch buffers in which threads evaluate it.
     pub rooms: Rooms,
 }
 
 impl<const D: usize> PairTerm<D> {
-    /// A law whose parameters have no places yet.
+    /// A law whose parameters have no places in the flat vector yet.
     pub fn new(name: impl Into<String>, model: Box<dyn Model<D>>) -> Self {
         Self { name: name.into(), model, places: Vec::new(), rooms: Rooms::default() }
     }
@@ -55,7 +55,7 @@ impl<const D: usize> PairTerm<D> {
         specs
     }
 
-    /// Puts other values of them in force.
+    /// Sets the values of its parameters.
     fn set(&mut self, values: &[f64]) {
         let (scalars, weights) = values.split_at(self.model.scalars().min(values.len()));
         self.model.set_scalars(scalars);
@@ -65,12 +65,13 @@ impl<const D: usize> PairTerm<D> {
     }
 }
 
-/// The pair laws of a World: the model that a scene learns, on which densities stand, and those added to it.
+/// The pair laws of a World: the model that a scene learns, which also defines the densities, and
+/// the laws added to it.
 #[derive(Resource, Debug)]
 pub struct Laws<const D: usize> {
     /// The model.
     pub model: PairTerm<D>,
-    /// Those that add their forces.
+    /// Laws whose forces are added to the model's.
     pub added: Vec<PairTerm<D>>,
 }
 
@@ -85,13 +86,14 @@ impl<const D: usize> Laws<D> {
         std::iter::once(&self.model).chain(&self.added)
     }
 
-    /// The same, to change.
+    /// All of them, mutable.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut PairTerm<D>> {
         std::iter::once(&mut self.model).chain(&mut self.added)
     }
 }
 
-/// Term: the forces of a pair law. The first in a World, which is the model's, runs the systems of all.
+/// Term: the forces of a pair law. The term of the first law, the model, runs the systems of all
+/// laws.
 #[derive(Clone, Debug)]
 pub struct PairForces {
     /// Number of the law in [`Laws::all`].
@@ -148,8 +150,9 @@ impl<const D: usize> Term<D> for PairForces {
     }
 }
 
-/// Chunks whose pairs are held linearised at once: more spare a block's sensitivities from being fetched by
-/// two windows, fewer keep the pairs in the cache.
+/// Number of chunks whose pairs are linearised at a time. A larger number loads each block's
+/// sensitivities less often, because fewer particles belong to two windows; a smaller one keeps the
+/// linearised pairs in the cache.
 pub(super) const WINDOW: usize = 4;
 
 /// System: the force of all pairs, law by law.
@@ -173,11 +176,12 @@ pub fn accelerate<const D: usize>(
     cloud.acceleration = acceleration;
 }
 
-/// System: the tangent of [`accelerate`] for every block of parameters: the direct share of a
-/// network's weights, which one pass finds for all blocks, and what comes through the state.
+/// System: the tangent of [`accelerate`] for every block of parameters. It is the sum of two parts:
+/// the direct derivative by a network's weights, found in one pass for all blocks, and the
+/// derivative through the state.
 ///
-/// Pairs are linearised once, a few chunks at a time, and then serve one block after another, so that a
-/// block's sensitivities are fetched once: while the block before it is at work.
+/// Pairs are linearised once, a few chunks at a time, and then applied to one block after another.
+/// A block's sensitivities are prefetched while the block before it is computed.
 pub fn accelerate_tangent<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     laws: Res<Laws<D>>,
@@ -190,7 +194,7 @@ pub fn accelerate_tangent<const D: usize>(
     }
 }
 
-/// The tangent of one law's forces; the first law's takes the place of what was there.
+/// The tangent of one law's forces. The first law overwrites the sum, every other law adds to it.
 fn add_tangent<const D: usize>(
     number: usize,
     law: &PairTerm<D>,
@@ -239,8 +243,9 @@ fn add_tangent<const D: usize>(
     }
 }
 
-/// `δF` of a chunk of particles, block by block, as far as it comes from each block's weights directly: eight
-/// particles at a time, whose derivatives by all weights stay in the cache meanwhile.
+/// The part of `δF` of a chunk of particles, block by block, that comes directly from each block's
+/// weights. It takes eight particles at a time, so that their derivatives by all weights stay in
+/// the cache.
 fn add_shares<const D: usize>(
     law: &PairTerm<D>,
     (hood, room): (Hood<'_>, &mut Room),
@@ -289,7 +294,7 @@ pub fn accelerate_pullback<const D: usize>(
     }
 }
 
-/// The pullback of one law's forces, but for what neighbours have to fetch.
+/// The pullback of one law's forces, except for what [`fetch_shares`] adds.
 fn pull_back<const D: usize>(law: &PairTerm<D>, pairs: Pairs<'_>, adjoint: &mut AdjointCloud<D>) {
     let one_way = law.model.passes_to_neighbours();
     adjoint.sum_parameters(&law.places, |adjoint, sums, width| {
@@ -313,7 +318,7 @@ fn pull_back<const D: usize>(law: &PairTerm<D>, pairs: Pairs<'_>, adjoint: &mut 
     });
 }
 
-/// Each particle takes what its neighbours' forces have left for it.
+/// Adds to each particle the shares that the pullback of its neighbours' forces wrote for it.
 fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
     let AdjointCloud { position, velocity, scalars, shares, senders, .. } = adjoint;
     let rows = position.par_iter_mut().zip(velocity).zip(scalars).enumerate();
@@ -328,24 +333,25 @@ fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
     });
 }
 
-/// Who has each particle near, and where in its lists: the lists transposed, so that nobody searches.
+/// The neighbour lists transposed: for each particle, the lists that contain it and its place in
+/// them.
 #[derive(Clone, Debug, Default)]
 pub struct Senders {
-    /// Whether what follows belongs to the lists as they are.
+    /// Whether `start` and `places` belong to the current lists.
     known: bool,
-    /// Where each slot's senders start; one more at the end.
+    /// Index in `places` of each slot's first entry, and the total at the end.
     start: Vec<u32>,
-    /// Chunk and place in its lists, in the order of the senders' slots.
+    /// Chunk and place in its lists, ordered by the slot of the listing particle.
     places: Vec<[u32; 2]>,
 }
 
 impl Senders {
-    /// The lists have changed.
+    /// Marks the transposed lists as outdated.
     pub(super) fn forget(&mut self) {
         self.known = false;
     }
 
-    /// Those of some lists of so many particles; nothing to do where they are known.
+    /// Transposes lists of `particles` particles, unless that has been done already.
     fn find(&mut self, lists: &[Near], particles: usize) {
         if !std::mem::replace(&mut self.known, true) {
             self.transpose(lists, particles);
@@ -357,7 +363,8 @@ impl Senders {
         self.start.clear();
         self.start.resize(particles + 2, 0);
         for other in lists.iter().flat_map(Near::slots) {
-            // Nobody, behind the last, is counted behind the end.
+            // The sentinel, whose index is `particles`, is counted in the last element and dropped
+            // below.
             self.start[other + 1] += 1;
         }
         for slot in 0..particles {
@@ -368,7 +375,7 @@ impl Senders {
         for (number, near) in lists.iter().enumerate().rev() {
             let places = (0..WIDTH * near.batches()).rev();
             for (place, other) in places.zip(near.slots().rev()) {
-                // Filling from the back turns each end into a start.
+                // Filling from the end turns each end into a start.
                 let Some(end) = self.start[1..].get_mut(other) else { continue };
                 *end -= 1;
                 self.places[*end as usize] = [number as u32, place as u32];

@@ -1,4 +1,5 @@
-//! Columns that a term asks particles to carry: spawned, forgotten, kept in snapshots and counted alike.
+//! Columns that a term adds to all particles: spawned, reset, kept in snapshots and counted in the
+//! same way.
 
 use super::particles::Identity;
 use bevy_ecs::component::Mutable;
@@ -6,7 +7,7 @@ use bevy_ecs::prelude::*;
 use std::any::Any;
 use std::fmt::{self, Debug};
 
-/// What a snapshot keeps of a column: one value for each particle, particle `k` in row `k`.
+/// A snapshot of a column: one value for each particle, particle `k` in row `k`.
 pub type Kept = Box<dyn Any + Send + Sync>;
 
 /// A component that every particle carries.
@@ -75,17 +76,17 @@ impl Column {
         (self.spawn)(world);
     }
 
-    /// Puts the default value back.
+    /// Resets the column to the default value.
     pub(crate) fn forget(&self, world: &mut World) {
         (self.forget)(world);
     }
 
-    /// The values, to come back to.
+    /// A copy of the values, for [`Self::restore`].
     pub(crate) fn keep(&self, world: &mut World) -> Kept {
         (self.keep)(world)
     }
 
-    /// Comes back to values.
+    /// Restores the values of a copy.
     pub(crate) fn restore(&self, world: &mut World, kept: &Kept) {
         (self.restore)(world, kept);
     }

@@ -21,7 +21,7 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// Term: densities by summation, and what the model makes of them.
+/// Term: density by summation, and the model's function of density, `A(ρ)`.
 #[derive(Clone, Copy, Debug)]
 pub struct DensitySummation;
 
@@ -30,7 +30,8 @@ impl<const D: usize> Term<D> for DensitySummation {
         "density".to_owned()
     }
 
-    /// The forces that begin a step see the densities that ended the one before, and leave their derivatives to them.
+    /// The force evaluation that begins a step uses the densities at the end of the step before,
+    /// and passes its derivatives to them.
     fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
         if occasion == Occasion::Refresh {
             return vec![Stage::backwards(Phase::Density, carry_density_pullback::<D>)];
@@ -41,8 +42,8 @@ impl<const D: usize> Term<D> for DensitySummation {
     }
 }
 
-/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles; and which of the listed pairs have a
-/// share in it: a mask for each eight.
+/// `ρᵢ = Σⱼ m W(rᵢⱼ; h)`, self term included, over one chunk of particles. Also writes one mask for
+/// each eight of listed neighbours: bit `n` says whether neighbour `n` has a nonzero weight.
 struct DensityPass<'a, const D: usize> {
     lines: Lines<'a>,
     chunk: &'a Chunk,
@@ -84,7 +85,7 @@ impl<const D: usize> DensityPass<'_, D> {
     }
 }
 
-/// System: sums the density at every particle, and what the model makes of it.
+/// System: sums the density of every particle, and evaluates the model's `A(ρ)`.
 pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     laws: Res<Laws<D>>,
@@ -118,7 +119,7 @@ pub fn sum_density<const D: usize>(
     });
 }
 
-/// Densities of up to eight particles, one where there is none.
+/// Densities of up to eight particles; 1 in unused lanes.
 #[inline(always)]
 pub(super) fn densities(lines: &[Packed]) -> Lanes {
     let mut rho = Lanes::of(1.0);
@@ -248,7 +249,8 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
     }
 }
 
-/// System: the pullback of [`sum_density`]: `∂L/∂A` and `∂L/∂ρ` become `∂L/∂r` and parameters.
+/// System: the pullback of [`sum_density`]: turns `∂L/∂A` and `∂L/∂ρ` into `∂L/∂r` and derivatives
+/// by parameters.
 pub fn sum_density_pullback<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     laws: Res<Laws<D>>,
@@ -279,13 +281,13 @@ pub fn sum_density_pullback<const D: usize>(
     });
 }
 
-/// Of the scalars of a model, those of the kernel.
+/// The part of a model's scalar parameters that belongs to the kernel.
 fn kernel_of<'a, T, const D: usize>(model: &dyn Model<D>, scalars: &'a [T]) -> &'a [T] {
     let count = model.medium().kernel_scalars();
     scalars.get(FluidConstants::COUNT..FluidConstants::COUNT + count).unwrap_or_default()
 }
 
-/// Adds `∂L/∂p = Σᵢ ∂L/∂ρᵢ ∂ρᵢ/∂p` of each parameter of the kernel.
+/// Adds `∂L/∂p = Σᵢ ∂L/∂ρᵢ ∂ρᵢ/∂p` for each parameter `p` of the kernel.
 fn pull_back_to_kernel<const D: usize>(
     law: &PairTerm<D>,
     pairs: Pairs<'_>,
@@ -308,8 +310,8 @@ fn pull_back_to_kernel<const D: usize>(
     });
 }
 
-/// System: in place of [`sum_density_pullback`] where the forces took the densities of an earlier
-/// evaluation of the same positions, to which `∂L/∂A` and `∂L/∂ρ` are left.
+/// System: takes the place of [`sum_density_pullback`] for forces that used the densities of an
+/// earlier evaluation at the same positions. It carries `∂L/∂A` and `∂L/∂ρ` to that evaluation.
 pub fn carry_density_pullback<const D: usize>(
     cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
@@ -322,7 +324,8 @@ pub fn carry_density_pullback<const D: usize>(
 /// `(∂L/∂A, ∂L/∂ρ)` of some particles, and the particles.
 type Rows<'a> = (&'a [(f64, f64)], &'a [Packed]);
 
-/// `∂L/∂ρᵢ` of some particles, through their stress and besides; the room gets the sums over parameters.
+/// `∂L/∂ρᵢ` of some particles, directly and through `A(ρ)`. The sums over parameters go to the
+/// scratch buffer.
 fn pull_stress_back<const D: usize>(
     model: &dyn Model<D>,
     room: &mut Room,

@@ -1,4 +1,4 @@
-//! What the tangent of the density, and of the stress it causes, is made of.
+//! The coefficients of the tangent of the density and of `A(ρ)`.
 
 use super::density::densities;
 use crate::models::{Medium, Model, Room};
@@ -8,21 +8,22 @@ use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 
-/// What the density tangent of a chunk of particles is made of, for every block of parameters:
-/// `δρᵢ = (Σⱼ m G rᵢⱼ)·δrᵢ − Σⱼ m G rᵢⱼ·δrⱼ`.
+/// The coefficients of the density tangent of a chunk of particles, the same for every block of
+/// parameters: `δρᵢ = (Σⱼ m G rᵢⱼ)·δrᵢ − Σⱼ m G rᵢⱼ·δrⱼ`.
 #[derive(Clone, Debug, Default)]
 pub struct Pulls<const D: usize> {
-    /// The first sum.
+    /// `Σⱼ m G rᵢⱼ` of each particle.
     own: Vec<[f64; D]>,
-    /// `∂ρᵢ/∂p = Σⱼ m ∂W/∂p`, self term included, of each particle by each parameter of the kernel that is learned.
+    /// `∂ρᵢ/∂p = Σⱼ m ∂W/∂p`, self term included, for each particle and each learned parameter `p`
+    /// of the kernel.
     by_kernel: Vec<f64>,
-    /// Where each particle's pairs start; one more at the end.
+    /// Index of each particle's first pair, and the total at the end.
     start: Vec<u32>,
-    /// The neighbours within `2h`.
+    /// The slots of the neighbours within `2h`.
     slots: Vec<u32>,
-    /// Of each its `m G rᵢⱼ`.
+    /// `m G rᵢⱼ` of each pair.
     pulls: Vec<[f64; D]>,
-    /// How many pairs there are; what lies behind is anything.
+    /// Number of pairs; elements from here on are unused.
     filled: usize,
 }
 
@@ -34,7 +35,7 @@ impl<const D: usize> Pulls<D> {
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
 
-    /// Adds eight pairs as far as they are somebody's: nobody comes last.
+    /// Adds up to eight pairs. Sentinels, which come last, are not counted.
     #[inline(always)]
     fn push(&mut self, others: Eight<'_, u32>, nobody: usize, pulls: &[Lanes; D]) {
         let end = self.filled + WIDTH;
@@ -48,7 +49,7 @@ impl<const D: usize> Pulls<D> {
                 row[axis] = pulls[axis].lane(lane);
             }
         }
-        // Nobody is overwritten.
+        // The next call overwrites the sentinels.
         self.filled += others.count(nobody);
     }
 }
@@ -104,8 +105,9 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
     }
 }
 
-/// `∂ρ/∂p = Σⱼ m ∂W/∂p` of a chunk of particles by each parameter of the kernel, self term included, particle by
-/// particle. In plain code: only learnable kernels need it.
+/// `∂ρ/∂p = Σⱼ m ∂W/∂p` of a chunk of particles by each parameter of the kernel, self term
+/// included, particle by particle. Not vectorised by instruction set: only learnable kernels need
+/// it.
 pub(super) fn density_by_kernel<const D: usize>(hood: Hood<'_>, medium: &Medium<D>) -> Vec<f64> {
     let Hood { lines, near, space } = hood;
     let Medium { smoothing, mass, .. } = medium;
@@ -125,7 +127,8 @@ pub(super) fn density_by_kernel<const D: usize>(hood: Hood<'_>, medium: &Medium<
     sums
 }
 
-/// `δρ` of one chunk of particles for one block of parameters; the sensitivities of the `next` are asked for.
+/// `δρ` of one chunk of particles for one block of parameters; prefetches the sensitivities of the
+/// `next` block.
 pub(super) struct DensityTangent<'a, const D: usize> {
     pub(super) pulls: &'a Pulls<D>,
     /// `∂(the kernel's parameters)/∂(the eight learned parameters)`.
@@ -169,18 +172,18 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
     }
 }
 
-/// One block of parameters, as the stress sees it.
+/// The columns of one block of parameters from which `δA` follows.
 pub(super) struct StressColumns<'a> {
     /// `δρ` per slot.
     pub(super) density: &'a [Lanes],
     /// `∂(the model's scalar parameters)/∂(the eight learned parameters)`.
     pub(super) directions: &'a [Lanes],
-    /// `(lane, place in the network)` of the weights among the eight.
+    /// `(lane, place in the network)` of the block's weights.
     pub(super) weights: &'a [(usize, usize)],
 }
 
-/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters: the stress is
-/// differentiated once for all of them.
+/// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters. `A(ρ)` is
+/// differentiated once for all blocks.
 pub(super) struct StressTangent<'a, 'b, const D: usize> {
     pub(super) model: &'a dyn Model<D>,
     /// Slot of the first particle.
@@ -217,7 +220,7 @@ impl<const D: usize> StressTangent<'_, '_, D> {
     }
 }
 
-/// `δρ` and `δA` of up to eight particles for one block of parameters.
+/// Writes `δρ` and `δA` of up to eight particles for one block of parameters.
 struct Fill<'a, const D: usize> {
     columns: &'a StressColumns<'a>,
     density: &'a [Lanes],

@@ -1,8 +1,9 @@
-//! The lists of one chunk of particles: who of the cells around is in reach.
+//! Builds the neighbour lists of one chunk of particles from the cells around it.
 //!
-//! Those who may be near somebody of a cell are gathered once for all its particles, in two words of 32 bits
-//! each: where they are, in sixteen bits along each axis, and who they are. Whole numbers are the same on
-//! every instruction set; whom they leave in doubt is looked at in doubles.
+//! The candidates near a cell are gathered once for all its particles, as two 32-bit words each:
+//! 16-bit coordinates and the slot. Distances are compared as integers, with the same result on
+//! every instruction set. Pairs closer to the limit than the quantisation error are compared again
+//! in `f64`.
 
 use crate::cells::Cells;
 use crate::chunk::FEW;
@@ -15,25 +16,28 @@ use crate::vector::Vector;
 /// Sixteen words.
 type Words = [u32; 2 * WIDTH];
 
-/// Everyone who may be near somebody of one cell.
+/// The candidates near one cell: every particle that may be in reach of one of the cell's
+/// particles.
 #[derive(Clone, Debug, Default)]
 struct Crowd {
-    /// Where they are, and who: [`Window::words`], with their distance from the chunk's base above z.
+    /// Coordinates and slot of each candidate as [`Window::words`], with the slot counted from the
+    /// chunk's base in the high half of the second word.
     words: [Vec<Words>; 2],
-    /// Their slots, where these are too far from the base.
+    /// Slots of the candidates, filled only where they do not fit 16 bits from the base.
     slots: Vec<u32>,
-    /// How many they are.
+    /// Number of candidates.
     count: usize,
-    /// The number of the first of those whose lists are written; the others follow.
+    /// Index of the first candidate whose list is written; the other particles of the cell follow
+    /// it.
     own: usize,
 }
 
 impl Crowd {
-    /// Nobody, with room for so many.
+    /// Removes all candidates, and makes room for this many.
     #[inline(always)]
     fn clear(&mut self, candidates: usize) {
         self.count = 0;
-        // Sixteen words are written behind the last.
+        // Each write is sixteen words wide and may reach past the last candidate.
         let room = candidates.div_ceil(2 * WIDTH) + 1;
         if self.slots.len() < 2 * WIDTH * room {
             self.slots.resize(2 * WIDTH * room, 0);
@@ -42,19 +46,19 @@ impl Crowd {
     }
 }
 
-/// What a thread needs while it builds the lists of a chunk, used again for the next.
+/// A thread's scratch buffer for building lists, reused from chunk to chunk.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workbench {
     crowd: Crowd,
-    /// The lists, before they are copied to where they stay: in two bytes for each neighbour,
+    /// The lists with 16-bit entries, before they are copied to their chunk.
     short: Lists<u16>,
-    /// and where these are too few.
+    /// The lists with 32-bit entries, used where 16 bits are too few.
     whole: Draft,
 }
 
 impl Workbench {
-    /// Gives all of them the room of the largest: which thread meets the fullest cells is up to the
-    /// scheduler, and whoever meets them next shall find room.
+    /// Grows every thread's buffers to the size of the largest, so that no later build allocates,
+    /// whichever thread the scheduler gives the fullest cells to.
     pub(super) fn level(benches: &mut [Self]) {
         let most = |room: fn(&Self) -> usize| benches.iter().map(room).max().unwrap_or_default();
         let candidates = most(|bench| bench.crowd.slots.len());
@@ -68,18 +72,19 @@ impl Workbench {
     }
 }
 
-/// How a neighbour is written.
+/// The type of a list entry while it is written.
 trait Written: Entry {
-    /// Whether a crowd needs the slots, as words have no room for them.
+    /// Whether the candidates' slots are needed, because they do not fit the words.
     const BY_SLOT: bool;
 
-    /// Writes those of sixteen, from number `first` on, that are in a mask to the front of `kept`.
+    /// Of sixteen candidates starting at index `first`, writes those in the mask to the front of
+    /// `kept`.
     fn keep<W: Wide>(mask: u16, words: &Words, first: usize, kept: &mut [Self]);
 
-    /// Turns what was written to what is listed.
+    /// Turns what [`Self::keep`] wrote into list entries.
     fn finish(written: &mut [Self], crowd: &Crowd);
 
-    /// The slot of number `number` of a crowd.
+    /// The slot of the candidate with index `number`.
     fn slot(crowd: &Crowd, number: usize, base: usize) -> usize;
 }
 
@@ -123,28 +128,29 @@ impl Written for u32 {
     }
 }
 
-/// What the lists of one chunk are built from.
+/// The inputs from which the lists of one chunk are built.
 pub(super) struct ListPass<'a, const D: usize> {
     /// The first slot.
     pub(super) first: usize,
-    /// Fixed-point coordinates in cell order, axis by axis, with two [`WIDTH`] more behind them.
+    /// Fixed-point coordinates in cell order, axis by axis, padded by two [`WIDTH`].
     pub(super) columns: &'a [Vec<i32>; D],
     /// Positions by row.
     pub(super) position: &'a (dyn Fn(usize) -> Vector<f64, D> + Sync),
     pub(super) cells: &'a Cells<D>,
     pub(super) space: PeriodicBox,
-    /// How far the lists reach, and how far particles may be carried while they are used.
+    /// The reach of the lists, and the largest displacement of a particle while they are used.
     pub(super) reach: (f64, f64),
 }
 
-/// Distances in steps of a [`Window`].
+/// The limits on distances, in steps of a [`Window`].
 struct Steps {
-    /// Steps are 2 to so many fixed-point steps.
+    /// Base-2 logarithm of a window step in fixed-point steps.
     shift: u32,
-    /// Squares of distances below which somebody is surely within reach, and from which on surely not.
+    /// Squared distances: below the first a pair is certainly within reach, from the second on
+    /// certainly not.
     limits: [u32; 2],
-    /// How far from the seam of the box, in fixed-point steps, neither a particle nor a neighbour can cross it
-    /// while the lists are used.
+    /// Distance from the periodic boundary, in fixed-point steps, beyond which neither a particle
+    /// nor its neighbours can cross the boundary while the lists are used.
     margin: u32,
 }
 
@@ -175,7 +181,7 @@ fn slices<const D: usize>(columns: &[Vec<i32>; D]) -> [&[i32]; D] {
 }
 
 impl<const D: usize> ListPass<'_, D> {
-    /// How many particles there are.
+    /// Number of particles.
     #[inline(always)]
     fn count(&self) -> usize {
         self.columns[0].len() - 2 * WIDTH
@@ -191,18 +197,18 @@ impl<const D: usize> ListPass<'_, D> {
         place
     }
 
-    /// How far the lists reach, in steps.
+    /// The limits on distances, in window steps.
     fn steps(&self) -> Steps {
         let (reach, carried) = self.reach;
         let fixed_point = PackedSingle::STEPS / self.space.length;
         let shift = self.cells.window_shift();
         let step = f64::from(1_u32 << shift);
-        // Coordinates are cut off to whole steps, and were rounded to fixed point before: their differences are
-        // known to a step and a fixed-point step along each axis.
+        // Coordinates are truncated to window steps and were rounded to fixed point before. The
+        // error of a difference is below one window step plus one fixed-point step along each axis.
         let doubt = (D as f64).sqrt() * (1.0 + 1.0 / step) + 1e-3;
         let r = reach * fixed_point / step;
         let least = (r - doubt).max(0.0);
-        // Conversions to whole numbers stop at the largest, beyond which no square is.
+        // A conversion to `u32` saturates at `u32::MAX`, above which no squared distance lies.
         Steps {
             shift,
             limits: [(least * least) as u32, ((r + doubt) * (r + doubt)).ceil() as u32],
@@ -210,7 +216,8 @@ impl<const D: usize> ListPass<'_, D> {
         }
     }
 
-    /// Writes the lists of the chunk; stops and says so where somebody is too far from its base for an entry.
+    /// Writes the lists of the chunk. Returns false where a candidate is too far from the base for
+    /// an entry.
     #[inline(always)]
     fn write<W: Wide, E: Written>(
         &self,
@@ -224,7 +231,7 @@ impl<const D: usize> ListPass<'_, D> {
         lists.begin(self.first);
         let mut slot = self.first;
         while slot < end {
-            // Particles of one cell follow each other, and look into the same cells.
+            // Particles of one cell are consecutive and share their candidates.
             let cell = self.cells.coordinates_of(self.place(slot));
             let until = self.cells.slots(cell).end.min(end);
             let nobody = self.nobody_near(cell, count).wrapping_sub(base);
@@ -257,7 +264,7 @@ impl<const D: usize> ListPass<'_, D> {
         }
         let mut half = [0; D];
         for axis in 0..D {
-            // Cells are not wider than the box, and half of that is the largest number here.
+            // A cell is not wider than the box, and half the box is the largest `i32`.
             let width = most[axis].wrapping_sub(least[axis]) as u32;
             middle[axis] = middle[axis].wrapping_add(least[axis]).wrapping_add((width / 2) as i32);
             half[axis] = ((width / 2 + 1) >> steps.shift) as u16 + 1;
@@ -265,8 +272,9 @@ impl<const D: usize> ListPass<'_, D> {
         Window { middle, shift: steps.shift, half, limit: steps.limits[1] }
     }
 
-    /// Finds everyone who may be in reach of somebody in the box of a window, in the cells around; `own` is the
-    /// first slot in that box. Stops and says so where somebody is too far from the base for an entry.
+    /// Gathers, from the cells around, all candidates that may be in reach of a particle in the box
+    /// of a window; `own` is the first slot in that box. Returns false where a candidate is too far
+    /// from the base for an entry.
     #[inline(always)]
     fn gather<W: Wide, E: Written>(
         &self,
@@ -277,7 +285,7 @@ impl<const D: usize> ListPass<'_, D> {
     ) -> bool {
         let around = self.cells.around(cell);
         crowd.clear(around.candidates());
-        // What the loop writes to does not hold what it reads from.
+        // Separate slices: the buffers written do not alias the columns read.
         let columns = slices(self.columns);
         let [xy, zt] = crowd.words.each_mut().map(|words| words.as_flattened_mut());
         let slots = &mut crowd.slots[..];
@@ -309,7 +317,7 @@ impl<const D: usize> ListPass<'_, D> {
         true
     }
 
-    /// The list of one slot from the crowd around its cell.
+    /// Writes the list of one slot from the candidates near its cell.
     #[inline(always)]
     fn list<W: Wide, E: Written>(
         &self,
@@ -328,7 +336,7 @@ impl<const D: usize> ListPass<'_, D> {
                 break;
             }
             let mut inside = u16::MAX >> (2 * WIDTH - (crowd.count - first).min(2 * WIDTH));
-            // Nobody is a neighbour of himself.
+            // A particle is not its own neighbour.
             if own / (2 * WIDTH) == number {
                 inside &= !(1 << (own % (2 * WIDTH)));
             }
@@ -345,11 +353,11 @@ impl<const D: usize> ListPass<'_, D> {
         lists.fill(filled);
     }
 
-    /// Which of sixteen others that are in a mask are in reach, in doubles.
+    /// Which of the sixteen candidates in a mask are in reach, in `f64`.
     #[cold]
     fn look_closer(&self, slot: usize, mask: u16, other: impl Fn(usize) -> usize) -> u16 {
         let near = |bit: &usize| {
-            // Outside of the mask there may be nobody.
+            // Bits outside of the mask may belong to no particle.
             mask >> bit & 1 == 1 && {
                 let rows = &self.cells.row_of_slot;
                 let [here, there] =
@@ -361,16 +369,16 @@ impl<const D: usize> ListPass<'_, D> {
         (0..2 * WIDTH).filter(near).fold(0, |found, bit| found | 1 << bit)
     }
 
-    /// Who fills up the lists of a cell: nobody, or, where he is too far away to be counted in two bytes,
-    /// somebody half a box away along the first axis.
+    /// The index that pads the lists of a cell. It is the sentinel; where that is too far for a
+    /// 16-bit entry, it is a particle half a box away along the first axis, if there is one.
     #[inline(always)]
     fn nobody_near(&self, cell: [usize; D], count: usize) -> usize {
-        // Two whole cells lie between them, each wider than the reach.
+        // At least two whole cells lie between the two, each wider than the reach.
         if count <= FEW { count } else { self.cells.far_from(cell, 3).unwrap_or(count) }
     }
 
-    /// Whether, before the lists are built anew, the particle or a neighbour of it may cross the seam of
-    /// the box.
+    /// Whether the particle or one of its neighbours may cross the periodic boundary before the
+    /// lists are rebuilt.
     #[inline(always)]
     fn is_near_seam(&self, slot: usize, margin: u32) -> bool {
         let mut near = false;

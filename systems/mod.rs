@@ -1,4 +1,4 @@
-//! The motion: what exists in a World, and what happens to it in which order.
+//! The equations of motion on a World: its components, its systems and their order.
 //!
 //! [`Phase`] is the order of one step, appendix A.4, written once. Every contribution to the motion is a
 //! [`term::Term`], which says for each phase which systems it needs, with their tangents and pullbacks;
@@ -68,23 +68,23 @@ pub enum Phase {
     FirstKick,
     /// `rᵏ⁺¹ = rᵏ + dt v½`.
     Drift,
-    /// Who may touch whom at `rᵏ⁺¹`.
+    /// The neighbour lists at `rᵏ⁺¹`.
     Neighbours,
-    /// What they see: their positions, and which velocity.
+    /// Packs positions and velocities, as the force evaluation reads them.
     Visible,
-    /// `ρᵏ⁺¹`, Eq. (17), and with it who is near enough to matter.
+    /// `ρᵏ⁺¹`, Eq. (17), and with it the neighbours within the support.
     Density,
     /// The forces of the model, Eqs. (2) to (7).
     Force,
     /// The external forcing, A.3.
     Forcing,
-    /// Forces go back from the cloud to the particles.
+    /// Accelerations are written from the packed arrays back to the particles.
     Return,
     /// `vᵏ⁺¹ = v½ + dt/2 F`.
     SecondKick,
     /// The loss of the completed step, where it is observed.
     Loss,
-    /// Whether the flow can be trusted to go on.
+    /// Stops the run where the flow has left its limits.
     Watch,
 }
 
@@ -121,17 +121,17 @@ pub enum Program {
     Return,
 }
 
-/// When a term is asked for its systems.
+/// The occasions on which a term is asked for its systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
     /// The first force evaluation, at step zero.
     Start,
-    /// The force anew at `(rᵏ, vᵏ)`, with the densities of the step before: only in the steps `paper` and
-    /// `two-force`.
+    /// The force anew at `(rᵏ, vᵏ)`, with the densities of the step before; only in the steps
+    /// `paper` and `two-force`.
     Refresh,
     /// The step itself, with a force evaluation after the drift.
     Step,
-    /// A snapshot was put back: neighbours and densities are found again.
+    /// A snapshot was restored: neighbours and densities are recomputed.
     Restore,
 }
 
@@ -141,25 +141,25 @@ impl Occasion {
         self != Self::Restore
     }
 
-    /// Whether positions are new, so that neighbours and densities are.
+    /// Whether positions have changed, so that neighbours and densities are recomputed.
     pub fn has_densities(self) -> bool {
         self != Self::Refresh
     }
 
-    /// Whether a state is complete, to be judged.
+    /// Whether the state is complete, so that losses and limits apply.
     pub fn has_judgement(self) -> bool {
         matches!(self, Self::Start | Self::Step)
     }
 }
 
-/// What the schedules of a World are for.
+/// What the schedules of a World must support.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Needs {
     /// The kind of step.
     pub step: Step,
-    /// Whether sensitivities are carried.
+    /// Whether forward sensitivities are carried.
     pub sensitivities: bool,
-    /// Whether the way forward is kept, so that an adjoint can go back.
+    /// Whether a tape is recorded for an adjoint.
     pub adjoint: bool,
 }
 

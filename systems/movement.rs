@@ -1,9 +1,9 @@
 //! How far neighbours have moved apart since their lists were built.
 //!
-//! A list holds everyone within `2h + skin`, and stays valid as long as no two neighbours have moved
-//! a skin towards each other. What counts is `|d_i − d_j|`, the difference of their displacements, not
-//! how far they were carried together: in a flow whose eddies are wider than the support that is several
-//! times less. Displacements are bounded by a box for each cell of the list, and every box is compared
+//! A list holds every particle within `2h + skin`. It stays valid as long as no two particles have
+//! approached each other by the skin. The criterion is the relative displacement `|d_i − d_j|`, not
+//! the displacement itself: in a flow whose eddies are wider than the support it is several times
+//! smaller. Displacements are bounded by a box for each cell of the list, and each box is compared
 //! with those of the cells around it.
 
 use super::particles::Position;
@@ -12,19 +12,19 @@ use crate::packed::PackedSingle;
 use crate::space::PeriodicBox;
 use rayon::prelude::*;
 
-/// Fewer cells than this are not worth another thread.
+/// Cells per parallel task, minimum: fewer are not worth another thread.
 const CELLS: usize = 128;
 
-/// Bounds of the displacements of a cell's particles, in fixed-point steps: the largest along each axis,
-/// and behind these the largest against it.
+/// Bounds of the displacements of a cell's particles, in fixed-point steps: the largest along each
+/// positive axis, then from index 4 on the largest along each negative axis.
 #[derive(Clone, Copy, Debug)]
 struct Bounds([f32; 8]);
 
 impl Bounds {
-    /// Of nobody.
+    /// Bounds of an empty cell.
     const NONE: Self = Self([f32::NEG_INFINITY; 8]);
 
-    /// Of one more, who has moved so many steps.
+    /// Includes one more displacement, in fixed-point steps.
     #[inline(always)]
     fn see<const D: usize>(&mut self, moved: [i32; D]) {
         for (axis, steps) in moved.into_iter().enumerate() {
@@ -34,7 +34,7 @@ impl Bounds {
         }
     }
 
-    /// Of everyone in either.
+    /// Bounds of both.
     #[inline(always)]
     fn and(mut self, other: &Self) -> Self {
         for (own, other) in self.0.iter_mut().zip(other.0) {
@@ -43,7 +43,7 @@ impl Bounds {
         self
     }
 
-    /// Square of the largest distance between a displacement in here and one in there.
+    /// Square of the largest distance between a displacement within `self` and one within `other`.
     #[inline(always)]
     fn apart<const D: usize>(&self, other: &Self) -> f32 {
         let mut square = 0.0;
@@ -62,21 +62,21 @@ impl Bounds {
     }
 }
 
-/// What the displacements in all cells are bounded by, used again whenever it is asked for.
+/// Bounds of the displacements in all cells. The memory is reused.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Movement {
     bounds: Vec<Bounds>,
 }
 
 impl Movement {
-    /// Makes room for the bounds of so many cells.
+    /// Makes room for the bounds of this many cells.
     pub(super) fn resize(&mut self, cells: usize) {
         self.bounds.resize(cells, Bounds::NONE);
     }
 
-    /// Bounds the displacements since `cells` were sorted, and says how far the farthest is from where he was:
-    /// squared, in fixed-point steps. Then the particles, now at `positions`, row by row, had the fixed-point
-    /// coordinates in `columns`, in the order of the cells.
+    /// Bounds the displacements since `cells` were sorted, and returns the largest squared
+    /// displacement, in fixed-point steps. `positions` are the current positions, row by row;
+    /// `columns` the fixed-point coordinates at the sort, in the order of the cells.
     pub(super) fn bound<const D: usize>(
         &mut self,
         (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
@@ -103,8 +103,8 @@ impl Movement {
         farthest.reduce(|| 0.0, f64::max)
     }
 
-    /// Whether two neighbours may have moved `skin` or more apart, or someone `carried` or more, by the last
-    /// bounds.
+    /// Whether, by the last bounds, two neighbours may have moved `skin` or more apart, or a
+    /// particle `carried` or more.
     pub(super) fn tears<const D: usize>(
         &self,
         cells: &Cells<D>,
@@ -113,7 +113,8 @@ impl Movement {
     ) -> bool {
         let bounds = &self.bounds;
         let steps = PackedSingle::STEPS / space.length;
-        // Each displacement is known to a step, and singles to a few parts in ten million.
+        // A displacement has an error of one step, a product in `f32` one of a few parts in ten
+        // million.
         let limit = |distance: f64| ((distance * steps - 4.0).max(0.0) * (1.0 - 1e-6)) as f32;
         let (skin, carried) = (limit(skin), limit(carried));
         let tears = |cell: usize| {
@@ -126,7 +127,8 @@ impl Movement {
             }
             let mut around = *own;
             cells.for_each_around(cell, |other| around = around.and(&bounds[other]));
-            // What bounds all cells around is wider than any of them.
+            // The joint bounds of all cells around are wider than the bounds of each: a cheap test
+            // first.
             own.apart::<D>(&around) >= skin * skin && {
                 let mut most = 0.0_f32;
                 cells

@@ -1,4 +1,4 @@
-//! Who of the listed neighbours is near, chunk by chunk, as the loops over pairs come to it.
+//! The listed neighbours within the support, found chunk by chunk in the loops over pairs.
 
 use super::acceleration::PairTerm;
 use super::neighbours::Neighbours;
@@ -7,10 +7,12 @@ use crate::near::Near;
 use crate::pairs::{Chunk, Hood, Lines};
 use crate::space::PeriodicBox;
 
-/// All pairs of an evaluation: the particles, their lists, and who in these is near.
+/// All pairs of an evaluation: the particles, their neighbour lists, and the masks of the
+/// neighbours within the support.
 ///
-/// Lists of who is near are written for one chunk of particles and forgotten behind it: they stay in the
-/// cache, and no flow holds them all. An adjoint, which comes back to them twice, does.
+/// The lists of neighbours within the support are written for one chunk of particles and
+/// overwritten by the next: they stay in the cache, and are never held for the whole flow. An
+/// adjoint reads them twice and does hold them all.
 #[derive(Clone, Copy, Debug)]
 pub struct Pairs<'a> {
     lines: Lines<'a>,
@@ -20,7 +22,7 @@ pub struct Pairs<'a> {
 }
 
 impl<'a> Pairs<'a> {
-    /// Particles, and the masks that their densities left for the lists.
+    /// The pairs of these particles, with the masks written by the density summation.
     pub(super) fn new<const D: usize>(
         lines: Lines<'a>,
         neighbours: &'a Neighbours<D>,
@@ -29,22 +31,22 @@ impl<'a> Pairs<'a> {
         Self { lines, chunks: &neighbours.chunks, masks, space: neighbours.space }
     }
 
-    /// How many chunks there are.
+    /// Number of chunks.
     pub fn chunks(&self) -> usize {
         self.chunks.len()
     }
 
-    /// Most eights of a chunk that there have been, or room for more.
+    /// Largest capacity of a chunk's lists, in eights.
     pub(super) fn fullest(&self) -> usize {
         self.chunks.iter().map(Chunk::most_masks).max().unwrap_or_default()
     }
 
-    /// Finds who is near the particles of a chunk.
+    /// Finds the neighbours within the support of a chunk's particles.
     pub(super) fn find(&self, chunk: usize, near: &mut Near) {
         near.find(&self.chunks[chunk], &self.masks[chunk], self.lines.nobody());
     }
 
-    /// A chunk of particles among all.
+    /// A chunk of particles, with access to all particles.
     pub(super) fn hood<'b>(&self, near: &'b Near) -> Hood<'b>
     where
         'a: 'b,
@@ -52,7 +54,7 @@ impl<'a> Pairs<'a> {
         Hood { lines: self.lines, near, space: self.space }
     }
 
-    /// Calls `work` with a chunk of particles and a room for a law.
+    /// Calls `work` with a chunk of particles and a scratch buffer for a law.
     pub(super) fn meet<T, const D: usize>(
         &self,
         chunk: usize,

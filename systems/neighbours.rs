@@ -1,9 +1,10 @@
-//! Who may touch whom: a cell list with a skin, and brute force beside it as the oracle.
+//! Neighbour search: a cell list with a skin, and a brute-force search as its oracle.
 //!
-//! Space is cut into cells of at least `2h + skin`; each particle's list holds everyone within that
-//! radius, and stays valid until two neighbours have moved a skin apart (`systems/movement.rs`). Cost is
-//! linear in `N`, and the lists hold directed pairs in a fixed order, so that every sum has the same bits
-//! for any number of threads. The skin buys speed only: pairs between `2h` and `2h + skin` contribute exact zeros.
+//! Space is divided into cells at least `2h + skin` wide. Each particle's list holds all particles
+//! within that radius, and stays valid until two neighbours have moved a skin apart
+//! (`systems/movement.rs`). The cost is linear in `N`. The lists hold directed pairs in a fixed
+//! order, so that every sum has the same bits for any number of threads. The skin does not change
+//! results: pairs between `2h` and `2h + skin` contribute exact zeros.
 
 use super::lists::{ListPass, Workbench};
 use super::movement::Movement;
@@ -21,8 +22,8 @@ use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// How far particles may be carried with their neighbours, in supports, before the lists are built anew:
-/// who may meet the seam of the box meanwhile is decided when they are built.
+/// Largest displacement of a particle between two rebuilds of the lists, in supports. Which
+/// particles may cross the periodic boundary until the next rebuild is decided at the rebuild.
 const CARRIED: f64 = 0.25;
 
 /// The neighbour list of a World.
@@ -32,21 +33,21 @@ pub struct Neighbours<const D: usize> {
     pub space: PeriodicBox,
     /// Radius of the kernel, `2h`.
     pub support: f64,
-    /// How much farther the lists reach.
+    /// How much farther than the support the lists reach.
     pub skin: f64,
     /// Cells of the last rebuild.
     pub cells: Cells<D>,
-    /// Lists, [`CHUNK`] slots each; shared with the tape of an adjoint.
+    /// The lists, [`CHUNK`] slots each; shared with the tape of an adjoint.
     pub chunks: Arc<Vec<Chunk>>,
-    /// How often the lists were rebuilt.
+    /// Number of rebuilds.
     pub rebuilds: u64,
     /// Whether the lists may be used.
     valid: bool,
-    /// Positions by row at the last rebuild, where somebody will ask for them.
+    /// Positions by row at the last rebuild, where they are asked for.
     reference: Option<Vec<Vector<f64, D>>>,
-    /// Fixed-point coordinates in cell order at the last rebuild, with two [`WIDTH`] more.
+    /// Fixed-point coordinates in cell order at the last rebuild, padded by two [`WIDTH`].
     columns: [Vec<i32>; D],
-    /// How far particles have moved since.
+    /// Bounds of the displacements since the last rebuild.
     movement: Movement,
     benches: Pool<Workbench>,
 }
@@ -69,12 +70,12 @@ impl<const D: usize> Neighbours<D> {
         }
     }
 
-    /// The same list, which remembers the positions that it was built from.
+    /// The same list, which keeps the positions that it is built from.
     pub fn with_reference(self) -> Self {
         Self { reference: Some(Vec::new()), ..self }
     }
 
-    /// Directed pairs closer than the support.
+    /// Number of directed pairs closer than the support.
     pub fn pairs(&self, cloud: &Cloud<D>) -> u64 {
         let within = |chunk: &Chunk, k: usize| {
             let here = Vector::<f64, D>::from_3d(cloud.packed[chunk.first + k].position);
@@ -99,30 +100,30 @@ impl<const D: usize> Neighbours<D> {
         lists + reference + places + self.cells.bytes() + self.movement.bytes()
     }
 
-    /// Bytes held by the bounds of how far particles have moved, cell by cell.
+    /// Bounds of displacements, in bytes.
     pub fn bytes_of_bounds(&self) -> usize {
         self.movement.bytes()
     }
 
-    /// Forgets the lists, so that the next step builds them anew.
+    /// Discards the lists, so that the next step rebuilds them.
     pub fn invalidate(&mut self) {
         self.valid = false;
     }
 
-    /// Positions by row at the last rebuild: what the lists, and the order of every sum, follow from;
-    /// empty where they are not remembered.
+    /// Positions by row at the last rebuild, from which the lists and the order of every sum
+    /// follow; empty where they are not kept.
     pub fn reference(&self) -> &[Vector<f64, D>] {
         self.reference.as_deref().unwrap_or_default()
     }
 
-    /// Builds the lists as they were built from `reference`; whoever uses them brings the positions in the
-    /// cloud up to date.
+    /// Builds the lists as they were built from `reference`. The caller must bring the positions in
+    /// the cloud up to date.
     pub fn restore(&mut self, reference: &[Vector<f64, D>], cloud: &mut Cloud<D>) {
         self.build(reference.len(), |row| reference[row], cloud);
     }
 
-    /// Builds the lists from positions, given row by row, if two neighbours may have moved a skin apart since
-    /// they were built.
+    /// Rebuilds the lists from positions, given row by row, if two neighbours may have moved a skin
+    /// apart since the last rebuild.
     fn update(&mut self, positions: &[Position<D>], cloud: &mut Cloud<D>) {
         if self.valid && cloud.len() == positions.len() && self.still_hold(positions) {
             return;
@@ -130,17 +131,17 @@ impl<const D: usize> Neighbours<D> {
         self.build(positions.len(), |row| positions[row].0, cloud);
     }
 
-    /// Whether the lists hold whoever may touch whom at these positions.
+    /// Whether the lists hold all pairs within the support at these positions.
     fn still_hold(&mut self, positions: &[Position<D>]) -> bool {
         let farthest = self.movement.bound((&self.cells, &self.columns), positions, self.space);
-        // As long as nobody has moved half a skin, no two of them have moved a skin apart.
+        // If no particle has moved half a skin, no two particles have moved a skin apart.
         let steps = PackedSingle::STEPS / self.space.length;
-        // Rounded coordinates are known to half a step each.
+        // Each rounded coordinate has an error of half a step.
         farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2)
             || !self.movement.tears(&self.cells, self.space, (self.skin, self.carried()))
     }
 
-    /// How far particles may be carried with their neighbours before the lists are built anew.
+    /// Largest displacement of a particle between two rebuilds.
     fn carried(&self) -> f64 {
         CARRIED * self.support
     }
@@ -168,7 +169,7 @@ impl<const D: usize> Neighbours<D> {
         fix(columns, &cells.row_of_slot, &|row| {
             position(row).0.map(|x| PackedSingle::fixed_point(x, space))
         });
-        // Lists that the tape still needs stay there; otherwise their memory is used again.
+        // Lists that the tape still needs stay there; otherwise their memory is reused.
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches, position) = (&self.columns, &self.benches, &position);
@@ -188,7 +189,7 @@ impl<const D: usize> Neighbours<D> {
     }
 }
 
-/// Fills columns of fixed-point coordinates, given by row, in the order of the slots.
+/// Fills columns with fixed-point coordinates, given by row, in the order of the slots.
 fn fix<const D: usize>(
     mut columns: [&mut [i32]; D],
     row_of_slot: &[u32],
@@ -211,8 +212,8 @@ fn fix<const D: usize>(
     rayon::join(|| fix(columns, rows, place), || fix(last, last_rows, place));
 }
 
-/// Every directed pair closer than `radius`, as `(i, j)` in ascending order, by comparing all with
-/// all: the oracle of the cell list.
+/// Every directed pair closer than `radius`, as `(i, j)` in ascending order, found by comparing all
+/// pairs: the oracle of the cell list.
 pub fn brute_force<const D: usize>(
     positions: &[Vector<f64, D>],
     space: PeriodicBox,

@@ -21,7 +21,7 @@ use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// Term: what a force evaluation sees, and where its forces go.
+/// Term: packs the inputs of a force evaluation and writes its forces back.
 #[derive(Clone, Copy, Debug)]
 pub struct Packing;
 
@@ -52,14 +52,16 @@ impl<const D: usize> Term<D> for Packing {
     }
 }
 
-/// Packs positions, where particles have `MOVED`, and velocities, `PREDICTED` to the end of the step or not.
+/// Packs velocities, predicted to the end of the step if `PREDICTED`, and positions if particles
+/// have `MOVED`.
 fn visible<const PREDICTED: bool, const MOVED: bool, const D: usize>() -> Stage {
     Stage::new(Phase::Visible, pack_velocities::<PREDICTED, MOVED, D>)
         .tangent(pack_sensitivities::<PREDICTED, MOVED, D>)
         .pullback(unpack_adjoint::<PREDICTED, D>)
 }
 
-/// What a loss sees where `observed` says so: the velocities at the end of a step. The pullback is part of the loss's.
+/// Packs the velocities at the end of a step for the losses, where `observed` says so. The pullback
+/// is part of the losses' own.
 pub(super) fn observed<const D: usize>(
     observed: fn(Res<Clock>, Option<Res<Observations<D>>>) -> bool,
 ) -> Stage {
@@ -67,8 +69,8 @@ pub(super) fn observed<const D: usize>(
         .tangent(pack_sensitivities::<false, false, D>.run_if(observed))
 }
 
-/// System: packs the velocity that the next force evaluation sees and, where particles have `MOVED` since the
-/// last time, their positions.
+/// System: packs the velocity that the next force evaluation uses and, if particles have `MOVED`
+/// since the last packing, their positions.
 pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
     rows: Query<(&Identity, &Position<D>, &Velocity<D>, &Acceleration<D>)>,
     (particles, integrator): (Res<Particles>, Res<Integrator>),
@@ -94,7 +96,8 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
     cloud.round(integrator.space);
 }
 
-/// Blocks are entities of the flow's own: all rows of a column of theirs, in the order in which they were spawned.
+/// All rows of a column of sensitivity blocks, in the order in which the blocks were spawned. Only
+/// the flow spawns blocks, so that the order is known.
 fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'a, [T]> {
     let first = parts.next().unwrap_or_default();
     let Some(second) = parts.next() else { return Cow::Borrowed(first) };
@@ -103,8 +106,8 @@ fn whole_column<'a, T: Clone>(mut parts: impl Iterator<Item = &'a [T]>) -> Cow<'
     Cow::Owned(whole)
 }
 
-/// System: packs `δr` and the `δv` of the velocity that the next force evaluation sees; where particles have
-/// not `MOVED` since the last time, `δv` alone.
+/// System: packs `δv` of the velocity that the next force evaluation uses and, if particles have
+/// `MOVED` since the last packing, `δr`.
 pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
     rows: Query<(
         &BlockOf,
@@ -123,7 +126,7 @@ pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usi
     let rows = &neighbours.cells.row_of_slot[..];
     let half = 0.5 * integrator.dt;
     sensitivities.blocks.par_iter_mut().enumerate().for_each(|(block, cloud)| {
-        // Block by block, as they were spawned.
+        // Blocks are stored in the order in which they were spawned.
         let own = block * rows.len()..(block + 1) * rows.len();
         let columns = Columns {
             positions: MOVED.then_some(&positions[own.clone()]),
@@ -136,7 +139,7 @@ pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usi
     });
 }
 
-/// What one block is packed from.
+/// The columns that one block is packed from.
 #[derive(Clone, Copy)]
 struct Columns<'a, const D: usize> {
     positions: Option<&'a [PositionSensitivity<D>]>,
@@ -190,7 +193,7 @@ pub fn write_acceleration_tangent<const D: usize>(
     }
 }
 
-/// Writes some rows' `δF`.
+/// Writes `δF` of some rows.
 struct Write<'a, const D: usize> {
     of: &'a [BlockOf],
     slots: &'a [u32],
@@ -229,7 +232,7 @@ pub fn write_acceleration<const D: usize>(
     }
 }
 
-/// System: brings the cloud back to the last evaluation on the tape, and packs `∂L/∂F` for it.
+/// System: restores the cloud of the last evaluation on the tape, and packs `∂L/∂F` for it.
 pub fn rewind_evaluation<const D: usize>(
     mut tape: ResMut<Tape<D>>,
     (mut neighbours, mut cloud): (ResMut<Neighbours<D>>, ResMut<Cloud<D>>),
@@ -238,7 +241,7 @@ pub fn rewind_evaluation<const D: usize>(
 ) {
     let Some(step) = tape.rewind(&mut cloud, &mut neighbours) else { return };
     clock.evaluated = step;
-    // The forces that begin a step see the pairs of those that ended the one before.
+    // The forces that begin a step use the pairs of the evaluation that ended the step before.
     if adjoint.sifted != Some(step) {
         adjoint.sift(cloud.pairs(&neighbours));
         adjoint.sifted = Some(step);
@@ -268,8 +271,9 @@ pub fn rewind_evaluation<const D: usize>(
     carried.clear();
 }
 
-/// System: the pullback of packing: what an evaluation passed back goes to the particles. Where the
-/// force saw the velocity predicted with the carried force, that force has its share.
+/// System: the pullback of packing: adds the derivatives that an evaluation passed back to the
+/// particles. Where the force used a velocity predicted with the carried force, that force gets its
+/// share.
 pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
     mut rows: Query<(
         &Identity,

@@ -14,12 +14,12 @@ use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use std::fmt::Debug;
 
-/// What a force on a particle may depend on.
+/// The inputs of a force on a particle.
 #[derive(Clone, Copy, Debug)]
 pub struct ParticleState<T, const D: usize> {
     /// Position `r`.
     pub position: Vector<T, D>,
-    /// Velocity `v` that the force sees.
+    /// Velocity `v` at which the force is evaluated.
     pub velocity: Vector<T, D>,
     /// Time.
     pub time: f64,
@@ -30,11 +30,12 @@ pub struct ParticleState<T, const D: usize> {
 /// A force on each particle that depends on its own position and velocity, on time and on parameters: drag, gravity,
 /// a large-scale stirring.
 ///
-/// The acceleration is written once over [`Scalar`]; plain numbers run it, dual numbers differentiate it, forwards and
-/// backwards. [`crate::scene::Scene::add_force`] adds it to a scene, and its parameters are learned like any other.
+/// The acceleration is written once over [`Scalar`]. It is evaluated with `f64` and differentiated,
+/// forwards and backwards, with dual numbers. [`crate::scene::Scene::add_force`] adds it to a
+/// scene, and its parameters are learned like any other.
 ///
-/// A drag `a = −k |v| v` with a learned `k`; the gradients from forward sensitivities and from the adjoint are that of
-/// central differences:
+/// A drag `a = −k |v| v` with a learned `k`. The gradients from forward sensitivities and from the
+/// adjoint agree with central differences:
 ///
 /// ```
 /// use whirls::learn::Learner;
@@ -82,7 +83,7 @@ pub struct ParticleState<T, const D: usize> {
 /// # Ok::<(), whirls::Error>(())
 /// ```
 pub trait ParticleForce: Clone + Debug + Send + Sync + 'static {
-    /// Its parameters with the values that they start with; a scene learns them as `term.parameter`.
+    /// Its parameters with their initial values; a scene learns them as `term.parameter`.
     fn parameters(&self) -> Vec<ParameterSpec>;
 
     /// The acceleration of a particle.
@@ -93,7 +94,7 @@ pub trait ParticleForce: Clone + Debug + Send + Sync + 'static {
     ) -> Vector<T, D>;
 }
 
-/// Directions in which a force is differentiated at once.
+/// Number of directions in which one evaluation differentiates a force.
 const DIRECTIONS: usize = 4;
 
 type Direction = Dual<f64, DIRECTIONS>;
@@ -115,13 +116,14 @@ struct ActiveForces<F: ParticleForce>(Vec<ActiveForce<F>>);
 pub struct ForceOnParticles<F> {
     name: String,
     force: F,
-    /// How many forces of this type were added before. The first runs the systems of all.
+    /// Number of forces of this type added before. The term of the first runs the systems of all.
     number: usize,
     specs: Vec<ParameterSpec>,
 }
 
 impl<F: ParticleForce> ForceOnParticles<F> {
-    /// Under a name, after `number` others of its type, with its parameters in force.
+    /// The term of a force with this name and these parameters, added after `number` others of its
+    /// type.
     pub fn new(name: &str, (force, number): (F, usize), specs: Vec<ParameterSpec>) -> Self {
         Self { name: name.to_owned(), force, number, specs }
     }
@@ -169,7 +171,7 @@ impl<F: ParticleForce, const D: usize> Term<D> for ForceOnParticles<F> {
     }
 }
 
-/// Time of a force evaluation, and the box.
+/// Time of a force evaluation, and side of the box.
 #[derive(Clone, Copy)]
 struct When {
     time: f64,
@@ -194,7 +196,8 @@ impl<F: ParticleForce> ActiveForce<F> {
         self.force.acceleration(at, &self.values)
     }
 
-    /// Calls `see` with the number of every input, in the order `r`, `v`, parameters, and `∂a` by it.
+    /// Calls `see` with the index of every input, in the order `r`, `v`, parameters, and the
+    /// derivative of `a` by it.
     fn differentiate<const D: usize>(
         &self,
         (when, particle): (When, &Packed),

@@ -1,4 +1,4 @@
-//! What a particle is made of, and the cloud in which pairs meet.
+//! The components of a particle, and the packed arrays of all particles that pair loops run over.
 
 use super::acceleration::Senders;
 use super::density_tangent::Pulls;
@@ -18,10 +18,12 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Number of the particle in its flow, `0..N`: the key under which recordings, truths and packed arrays know it.
+/// Number of the particle in its flow, `0..N`. Recordings, truths and packed arrays identify
+/// particles by it.
 ///
-/// An entity without it is no particle of the fluid, whatever else it carries: no system moves it, and no force meets
-/// it. Particles keep their numbers; a flow whose particles are fewer or more than it started with is refused.
+/// An entity without it is no particle of the fluid, whatever other components it has: no system
+/// moves it, and no force acts on it. A particle keeps its number. A flow whose number of particles
+/// has changed since its start is refused.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity(pub u32);
 
@@ -33,8 +35,8 @@ pub struct Position<const D: usize>(pub Vector<f64, D>);
 #[derive(Component, Clone, Copy, Debug)]
 pub struct Velocity<const D: usize>(pub Vector<f64, D>);
 
-/// Acceleration `F` of the last force evaluation; with the kick-drift-kick step it is carried to the
-/// next step, and so belongs to the state.
+/// Acceleration `F` of the last force evaluation. The kick-drift-kick step carries it to the next
+/// step, so that it belongs to the state.
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct Acceleration<const D: usize>(pub Vector<f64, D>);
 
@@ -66,7 +68,7 @@ pub struct VelocitySensitivity<const D: usize>(pub Vector<Lanes, D>);
 #[derive(Component, Clone, Copy, Debug)]
 pub struct AccelerationSensitivity<const D: usize>(pub Vector<Lanes, D>);
 
-/// `∂L/∂r` of the loss still to come, carried backwards through the steps.
+/// `∂L/∂r` of the loss of later steps, carried backwards through the steps.
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct PositionAdjoint<const D: usize>(pub Vector<f64, D>);
 
@@ -78,16 +80,17 @@ pub struct VelocityAdjoint<const D: usize>(pub Vector<f64, D>);
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
 
-/// How many particles a World has.
+/// Number of particles of a World.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Particles(pub usize);
 
-/// One table of particles: their numbers, and a component of each.
+/// One table of particles: their numbers, and one component of each.
 type Table<'a, T> = (&'a [Identity], &'a [T]);
 
 impl Particles {
-    /// A component of all particles, particle `k` in row `k`: as it lies in the World where it lies in that order, and
-    /// gathered by [`Identity`] where components of a caller's own have moved particles to other tables.
+    /// A component of all particles, particle `k` in row `k`. It is borrowed where the World stores
+    /// it in that order, and gathered by [`Identity`] where a user's components have moved
+    /// particles to other tables.
     pub(super) fn gather<'a, T: Copy>(
         self,
         mut tables: impl Iterator<Item = Table<'a, T>>,
@@ -109,13 +112,13 @@ impl Particles {
         Cow::Owned(all)
     }
 
-    /// Whether these are all of them, particle `k` in row `k`.
+    /// Whether these are all particles, particle `k` in row `k`.
     pub(crate) fn are_in_order(self, ids: &[Identity]) -> bool {
         ids.len() == self.0 && (0..).zip(ids).all(|(row, id)| id.0 == row)
     }
 }
 
-/// The chunks of columns of equal length, chunk by chunk.
+/// Splits columns of equal length into chunks, and groups the parts chunk by chunk.
 pub(super) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
     let mut chunks: Vec<Vec<&mut [T]>> = Vec::new();
     for column in columns {
@@ -129,50 +132,52 @@ pub(super) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
     chunks
 }
 
-/// What goes backwards through one force evaluation, in cell order; absent where no adjoint is run.
+/// The adjoint variables of one force evaluation, in cell order; absent where no adjoint is run.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct AdjointCloud<const D: usize> {
-    /// `∂L/∂F` and `∂L/∂ρ` per slot, and zeros behind the last.
+    /// `∂L/∂F` and `∂L/∂ρ` per slot, and a zero element at the end for the sentinel.
     pub packed: Vec<PackedAdjoint>,
     /// `∂L/∂r` through this evaluation, per slot.
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` through this evaluation, per slot.
     pub velocity: Vec<Vector<f64, D>>,
-    /// `(∂L/∂A, ∂L/∂ρ)` of what saw the densities of an earlier evaluation, by row, until that takes it:
-    /// the loss at the end of a step, and the forces that began the next.
+    /// `(∂L/∂A, ∂L/∂ρ)`, by row, from later uses of an earlier evaluation's densities: the loss at
+    /// the end of a step, and the forces that begin the next. The pullback of that evaluation takes
+    /// them.
     pub carried: Vec<(f64, f64)>,
-    /// `(∂L/∂A, ∂L/∂ρ)` per slot: what was carried here, and what comes through the forces.
+    /// `(∂L/∂A, ∂L/∂ρ)` per slot: from `carried`, and through the forces.
     pub scalars: Vec<(f64, f64)>,
-    /// Who is near, chunk by chunk.
+    /// Neighbours within the support, chunk by chunk.
     pub near: Vec<Near>,
-    /// The step whose positions those belong to, if they may be used.
+    /// The step whose positions `near` belongs to, if it may be used.
     pub sifted: Option<u64>,
-    /// What particles leave for their neighbours, chunk by chunk; empty where forces are opposite.
+    /// Shares that the pullback writes for neighbours, chunk by chunk; empty where pair forces are
+    /// opposite.
     pub shares: Vec<Vec<PairShare<D>>>,
-    /// Where each particle finds what was left for it.
+    /// Where each particle finds the shares written for it.
     pub senders: Senders,
     /// `∂L/∂` of every parameter of the flat vector, summed over the evaluations so far.
     pub parameters: Vec<f64>,
-    /// The same of one evaluation, chunk by chunk.
+    /// The same for one evaluation, chunk by chunk.
     pub sums: Vec<f64>,
 }
 
 impl<const D: usize> AdjointCloud<D> {
-    /// Finds who is near.
+    /// Finds the neighbours within the support of all particles.
     pub(super) fn sift(&mut self, pairs: Pairs<'_>) {
         self.near.resize_with(pairs.chunks(), Near::default);
         self.near.par_iter_mut().enumerate().for_each(|(chunk, near)| pairs.find(chunk, near));
         self.senders.forget();
     }
 
-    /// Adds to the parameters at some places the sums that `write` finds for each chunk of particles, as many numbers
-    /// a chunk as it is told.
+    /// Calls `write` to fill one row of sums for each chunk of particles, then adds all rows to the
+    /// parameters at `places`. `write` gets the array of rows and the width of a row.
     pub(super) fn sum_parameters(
         &mut self,
         places: &[usize],
         write: impl FnOnce(&mut Self, &mut [f64], usize),
     ) {
-        // A chunk has one number at least, so that chunks of sums and of particles run side by side.
+        // A row has at least one element, so that rows and chunks can be zipped.
         let width = places.len().max(1);
         let mut sums = std::mem::take(&mut self.sums);
         sums.resize(width * self.position.len().div_ceil(CHUNK), 0.0);
@@ -186,22 +191,23 @@ impl<const D: usize> AdjointCloud<D> {
 
 /// All particles in cell order, as contiguous arrays: what the pair loops run over.
 ///
-/// *Slot* is a place in this order, *row* a place in the World's columns.
+/// A *slot* is an index in cell order, a *row* an index in the World's columns.
 #[derive(Resource, Debug, Default)]
 pub struct Cloud<const D: usize> {
-    /// One line per slot, and [`Packed::NOBODY`] behind the last.
+    /// One line per slot, and [`Packed::NOBODY`] at the end.
     pub packed: Vec<Packed>,
-    /// The same in singles, where the precision is mixed.
+    /// The same in `f32`; used in mixed precision.
     pub singles: Vec<PackedSingle>,
-    /// What pairs are evaluated in.
+    /// The precision in which pairs are evaluated.
     pub precision: Precision,
     /// `F` per slot.
     pub acceleration: Vec<Vector<f64, D>>,
-    /// Density per slot, before it is written into the lines.
+    /// Density per slot, before it is copied into the lines.
     pub density: Vec<f64>,
     /// The slot of each row.
     pub slot_of_row: Vec<u32>,
-    /// Whose weight in the density was not zero, chunk by chunk: a mask for each eight in the lists.
+    /// Which listed neighbours have a nonzero weight in the density, chunk by chunk: one mask for
+    /// each eight in the lists.
     pub masks: Vec<Vec<u8>>,
 }
 
@@ -227,7 +233,7 @@ impl<const D: usize> Cloud<D> {
         self.slot_of_row.resize(count, 0);
     }
 
-    /// Rounds the lines for the pairs of mixed precision; nothing to do in doubles.
+    /// Rounds the lines to `f32` in mixed precision; does nothing in double precision.
     pub fn round(&mut self, space: PeriodicBox) {
         if self.precision == Precision::Mixed {
             let particles = &self.packed[..self.slot_of_row.len()];
@@ -238,17 +244,17 @@ impl<const D: usize> Cloud<D> {
         }
     }
 
-    /// The lines as pairs read them.
+    /// The lines that pair loops read.
     pub fn lines(&self) -> Lines<'_> {
         Lines { double: &self.packed, single: &self.singles, precision: self.precision }
     }
 
-    /// All pairs that its densities were summed over.
+    /// All pairs of the last density summation.
     pub fn pairs<'a>(&'a self, neighbours: &'a Neighbours<D>) -> Pairs<'a> {
         Pairs::new(self.lines(), neighbours, &self.masks)
     }
 
-    /// The particles without the filler behind them.
+    /// The particles, without the sentinel at the end.
     pub fn particles(&self) -> &[Packed] {
         &self.packed[..self.len()]
     }
@@ -259,7 +265,7 @@ impl<const D: usize> Cloud<D> {
 pub struct SensitivityBlock<const D: usize> {
     /// One entry per slot.
     pub packed: Vec<PackedSensitivity<D>>,
-    /// `δρ` per slot, before it is written into the entries.
+    /// `δρ` per slot, before it is copied into `packed`.
     pub density: Vec<Lanes>,
     /// `δF` per slot.
     pub acceleration: Vec<Vector<Lanes, D>>,
@@ -272,29 +278,30 @@ pub struct SensitivityBlock<const D: usize> {
 }
 
 impl<const D: usize> SensitivityBlock<D> {
-    /// `∂(the parameter at a place of the flat vector)/∂(the eight learned parameters)`: one in a lane, or zero.
+    /// `∂(the parameter at a place of the flat vector)/∂(the eight learned parameters)`: 1 in its
+    /// lane, or zero.
     pub fn direction(&self, place: usize) -> Lanes {
         let column = self.columns.iter().find(|(_, own)| *own == place);
         column.map_or(Lanes::ZERO, |&(lane, _)| Lanes::unit(lane))
     }
 }
 
-/// The blocks of a World that learns; absent where nothing is learned.
+/// The sensitivity blocks of a World that learns; absent where nothing is learned.
 #[derive(Resource, Clone, Debug)]
 pub struct SensitivityCloud<const D: usize> {
     /// `⌈p/8⌉` blocks.
     pub blocks: Vec<SensitivityBlock<D>>,
-    /// Which derivatives of the force are kept.
+    /// Which derivatives of the force are included.
     pub coupling: Coupling,
     /// `∂A/∂ρ` per slot.
     pub stress_slopes: Vec<f64>,
-    /// How the densities of some chunks depend on places.
+    /// Coefficients of the density tangent, for the chunks of one window.
     pub pulls: Vec<Pulls<D>>,
-    /// The pairs of some chunks, linearised.
+    /// The linearised pairs of the chunks of one window.
     pub slopes: Vec<Slopes>,
 }
 
-/// What threads need for a while and leave to the next: one for each thread, from the first use on.
+/// A pool of scratch buffers: one for each thread, from the first use on.
 #[derive(Debug)]
 pub(super) struct Pool<T>(Mutex<Vec<T>>);
 
@@ -305,8 +312,8 @@ impl<T> Default for Pool<T> {
 }
 
 impl<T> Pool<T> {
-    /// Calls `work` with one of them; the first call makes one for each thread, so that it is not left
-    /// to the scheduler when the last of them is made.
+    /// Lends a scratch buffer. The first call creates one per thread, so that later steps do not
+    /// allocate.
     pub(super) fn lend<R>(&self, make: impl Fn() -> T, work: impl FnOnce(&mut T) -> R) -> R {
         let taken = self.for_all_threads(&make).pop();
         let mut lent = taken.unwrap_or_else(make);
@@ -315,7 +322,7 @@ impl<T> Pool<T> {
         result
     }
 
-    /// Everything that is not lent, once there has been one for each thread.
+    /// The buffers that are not lent, after creating one for each thread at the first call.
     fn for_all_threads(&self, make: impl Fn() -> T) -> MutexGuard<'_, Vec<T>> {
         let mut free = self.lock();
         if free.capacity() == 0 {
@@ -324,24 +331,24 @@ impl<T> Pool<T> {
         free
     }
 
-    /// Everything that is not lent.
+    /// The buffers that are not lent.
     pub(super) fn rest(&mut self) -> &mut [T] {
         self.0.get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What is not lent; a poisoned lock only means that another thread's work panicked, and what is
-    /// lent holds no state.
+    /// The buffers that are not lent. A poisoned lock only means that another thread's work
+    /// panicked; a buffer holds no state.
     fn lock(&self) -> MutexGuard<'_, Vec<T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Rooms in which threads evaluate a model.
+/// The scratch buffers in which threads evaluate a model.
 #[derive(Debug, Default)]
 pub struct Rooms(Pool<Room>);
 
 impl Rooms {
-    /// Calls `work` with a room for this model.
+    /// Calls `work` with a scratch buffer for this model.
     pub fn enter<T, const D: usize>(
         &self,
         model: &dyn Model<D>,
@@ -350,8 +357,8 @@ impl Rooms {
         self.0.lend(|| model.room(), work)
     }
 
-    /// Gives all threads room for so many eights of near neighbours: which of them meets the fullest chunk is up to
-    /// the scheduler, and whichever meets it next must find room.
+    /// Gives every thread's scratch buffer room for this many eights of neighbours, so that no
+    /// later step allocates, whichever thread the scheduler gives the fullest chunk to.
     pub(super) fn make_room<const D: usize>(&self, model: &dyn Model<D>, eights: usize) {
         let mut rooms = self.0.for_all_threads(|| model.room());
         rooms.iter_mut().for_each(|room| room.near.make_room(eights));

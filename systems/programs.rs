@@ -8,10 +8,10 @@ use bevy_ecs::schedule::{
     InternedSystemSet, LogLevel, ScheduleBuildSettings, SingleThreadedExecutor,
 };
 
-/// Terms in the order in which those of one phase run.
+/// Terms; those of one phase run in this order.
 pub type Terms<const D: usize> = [Box<dyn Term<D>>];
 
-/// The parts of [`Phase::Refresh`]: the phases of a force evaluation, once more.
+/// The phases of the force evaluation within [`Phase::Refresh`].
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Refresh(Phase);
 
@@ -21,11 +21,11 @@ pub struct Programs {
     pub start: Schedule,
     /// [`Program::Advance`].
     pub advance: Schedule,
-    /// Those of a World that can be run backwards.
+    /// The schedules of the adjoint, where one is run.
     pub backward: Option<Backward>,
 }
 
-/// The schedules by which a World comes back.
+/// The schedules by which an adjoint runs backwards.
 pub struct Backward {
     /// [`Program::Prepare`].
     pub prepare: Schedule,
@@ -43,8 +43,8 @@ impl Backward {
 }
 
 impl Programs {
-    /// The schedules of some terms: forwards in the order of phases, each tangent after its system; backwards the
-    /// pullbacks of the same systems, in reverse.
+    /// The schedules of some terms: forwards in the order of phases, with each tangent after its
+    /// system; backwards the pullbacks of the same systems, in reverse.
     ///
     /// # Errors
     /// [`Error::Input`] where a gradient is asked for and a term lacks a derivative; it names the term.
@@ -66,7 +66,7 @@ impl Programs {
     }
 }
 
-/// Refuses a term that lacks a derivative which a gradient needs.
+/// Refuses a term without a derivative that the gradient needs.
 fn must_be_differentiable<const D: usize>(
     term: &dyn Term<D>,
     occasion: Occasion,
@@ -86,7 +86,8 @@ fn must_be_differentiable<const D: usize>(
     ))
 }
 
-/// An empty schedule in which any two systems that touch the same data must have an order.
+/// An empty schedule, in which two systems that touch the same data without an order between them
+/// are an error.
 fn empty(program: Program) -> Schedule {
     let mut schedule = Schedule::new(program);
     schedule.set_executor(SingleThreadedExecutor::new());
@@ -105,7 +106,7 @@ fn set_of(occasion: Occasion, phase: Phase) -> InternedSystemSet {
     }
 }
 
-/// Systems one after another.
+/// Chains systems one after another.
 fn in_a_row(systems: impl IntoIterator<Item = Systems>) -> Option<Systems> {
     systems.into_iter().reduce(|first, second| (first, second).chain())
 }
@@ -132,7 +133,7 @@ fn backwards<const D: usize>(
     schedule(in_order(program, Phase::ALL.into_iter().rev()), occasions, (terms, needs), systems)
 }
 
-/// An empty schedule with phases in a given order, those of a refresh within their own.
+/// An empty schedule with phases in a given order, and the same order within [`Phase::Refresh`].
 fn in_order(program: Program, phases: impl IntoIterator<Item = Phase>) -> Schedule {
     let mut schedule = empty(program);
     let phases: Vec<Phase> = phases.into_iter().collect();
@@ -146,7 +147,8 @@ fn in_order(program: Program, phases: impl IntoIterator<Item = Phase>) -> Schedu
     schedule
 }
 
-/// Adds to each phase what is made of its stages, which come in the order of their terms.
+/// Adds the systems of all stages to their phases. Within a phase they run in the order of the
+/// terms.
 fn schedule<const D: usize>(
     mut schedule: Schedule,
     occasions: &[Occasion],

@@ -1,5 +1,5 @@
-//! The tape: what the adjoint must know of each force evaluation, kept on the way forward and taken
-//! back, last first, on the way backward.
+//! The tape: what the adjoint needs of each force evaluation, recorded forwards and taken back in
+//! reverse order.
 
 use super::neighbours::{Chunk, Neighbours};
 use super::particles::{AdjointCloud, Cloud, Identity, PositionAdjoint, VelocityAdjoint};
@@ -10,27 +10,27 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
 
-/// One force evaluation: the cloud as the pairs saw it, and who saw whom.
+/// One force evaluation: the packed particles and their neighbour lists.
 #[derive(Clone, Debug, Default)]
 pub struct Evaluation {
     packed: Vec<Packed>,
     slot_of_row: Vec<u32>,
     chunks: Arc<Vec<Chunk>>,
-    /// Who in them is near; see [`Cloud::masks`].
+    /// Masks of the neighbours within the support; see [`Cloud::masks`].
     masks: Vec<Vec<u8>>,
     /// Step whose positions these are.
     step: u64,
 }
 
 impl Evaluation {
-    /// Bytes held, lists apart.
+    /// Bytes held, without the lists.
     fn bytes(&self) -> usize {
         let masks: usize = self.masks.iter().map(Vec::len).sum();
         64 * self.packed.len() + 4 * self.slot_of_row.len() + masks
     }
 }
 
-/// How the loss of one observed frame depends on its state.
+/// The derivatives of the loss of one observed frame by its state.
 #[derive(Clone, Debug, Default)]
 pub struct FrameAdjoint<const D: usize> {
     /// The observed step.
@@ -39,10 +39,10 @@ pub struct FrameAdjoint<const D: usize> {
     pub position: Vec<Vector<f64, D>>,
     /// `∂L/∂v` by row.
     pub velocity: Vec<Vector<f64, D>>,
-    /// `∂L/∂ρ` by row, through the densities of the step's last evaluation, which are those that the loss
-    /// saw.
+    /// `∂L/∂ρ` by row, where ρ are the densities of the step's last evaluation, which the loss
+    /// uses.
     pub density: Vec<f64>,
-    /// `∂L/∂` of parameters that the loss depends on directly: place in the flat vector, and derivative.
+    /// `(place in the flat vector, ∂L/∂parameter)` of parameters that the loss depends on directly.
     pub parameters: Vec<(usize, f64)>,
 }
 
@@ -54,7 +54,7 @@ impl<const D: usize> FrameAdjoint<D> {
         Self::BYTES * self.position.len()
     }
 
-    /// From the order of slots.
+    /// Fills it from columns in the order of slots.
     fn fill(&mut self, step: u64, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
         fn by_row<T: Copy>(into: &mut Vec<T>, column: &[T], slot_of_row: &[u32]) {
             into.clear();
@@ -67,7 +67,7 @@ impl<const D: usize> FrameAdjoint<D> {
         self.parameters.clone_from(&adjoint.parameters);
     }
 
-    /// Adds another loss of the same frame, from the order of slots.
+    /// Adds another loss of the same frame, from columns in the order of slots.
     fn add(&mut self, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
         let vectors = self.position.iter_mut().zip(&mut self.velocity).zip(&mut self.density);
         for (((r, v), rho), &slot) in vectors.zip(slot_of_row) {
@@ -79,19 +79,19 @@ impl<const D: usize> FrameAdjoint<D> {
     }
 }
 
-/// What was kept on the way forward.
+/// The force evaluations and observed frames recorded forwards.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct Tape<const D: usize> {
     evaluations: Vec<Evaluation>,
     frames: Vec<FrameAdjoint<D>>,
-    /// Memory of what was taken back, to be used again.
+    /// Memory of evaluations and frames taken back, to be reused.
     spare: (Vec<Evaluation>, Vec<FrameAdjoint<D>>),
-    /// Whether evaluations are kept; off where only the state at the end is wanted.
+    /// Whether evaluations are recorded; off where only the state at the end is wanted.
     pub running: bool,
 }
 
 impl<const D: usize> Tape<D> {
-    /// Forgets everything.
+    /// Removes everything.
     pub fn clear(&mut self) {
         while let Some(evaluation) = self.evaluations.pop() {
             self.discard(evaluation);
@@ -99,7 +99,8 @@ impl<const D: usize> Tape<D> {
         self.spare.1.append(&mut self.frames);
     }
 
-    /// Keeps how a loss depends on an observed frame, from the order of slots; several losses of one frame add up.
+    /// Records the derivatives of a loss of an observed frame, in the order of slots; several
+    /// losses of one frame are added.
     pub fn push_frame(&mut self, step: u64, adjoint: &StateAdjoint<D>, slot_of_row: &[u32]) {
         if let Some(frame) = self.frames.last_mut().filter(|frame| frame.step == step) {
             return frame.add(adjoint, slot_of_row);
@@ -109,7 +110,7 @@ impl<const D: usize> Tape<D> {
         self.frames.push(frame);
     }
 
-    /// Keeps a force evaluation.
+    /// Records a force evaluation.
     fn push(&mut self, cloud: &Cloud<D>, chunks: &Arc<Vec<Chunk>>, step: u64) {
         let mut evaluation = self.spare.0.pop().unwrap_or_default();
         evaluation.packed.clone_from(&cloud.packed);
@@ -119,7 +120,8 @@ impl<const D: usize> Tape<D> {
         self.evaluations.push(evaluation);
     }
 
-    /// Brings a cloud back to the last evaluation, and says to which step its positions belong.
+    /// Restores the cloud of the last evaluation, and returns the step that its positions belong
+    /// to.
     pub(super) fn rewind(
         &mut self,
         cloud: &mut Cloud<D>,
@@ -131,30 +133,30 @@ impl<const D: usize> Tape<D> {
         std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
         std::mem::swap(&mut cloud.masks, &mut evaluation.masks);
         neighbours.chunks = std::mem::take(&mut evaluation.chunks);
-        // They are older than the cells: the next step forwards builds both anew.
+        // The lists are older than the cells: the next forward step rebuilds both.
         neighbours.invalidate();
         cloud.round(neighbours.space);
         self.discard(evaluation);
         Some(step)
     }
 
-    /// Leaves the memory of an evaluation for the next.
+    /// Keeps the memory of an evaluation for the next one.
     fn discard(&mut self, mut evaluation: Evaluation) {
         evaluation.chunks = Arc::default();
         self.spare.0.push(evaluation);
     }
 
-    /// Number of force evaluations kept.
+    /// Number of force evaluations recorded.
     pub fn len(&self) -> usize {
         self.evaluations.len()
     }
 
-    /// Whether no force evaluation is kept.
+    /// Whether no force evaluation is recorded.
     pub fn is_empty(&self) -> bool {
         self.evaluations.is_empty()
     }
 
-    /// Bytes of what is kept.
+    /// Bytes of what is recorded.
     pub fn bytes(&self) -> usize {
         let lists: usize = self
             .distinct_lists()
@@ -164,14 +166,14 @@ impl<const D: usize> Tape<D> {
         evaluations + lists + self.frames.iter().map(FrameAdjoint::bytes).sum::<usize>()
     }
 
-    /// Bytes of what is left to be used again.
+    /// Bytes of the memory kept for reuse.
     pub fn spare_bytes(&self) -> usize {
         let (evaluations, frames) = &self.spare;
         let evaluations = evaluations.iter().map(Evaluation::bytes).sum::<usize>();
         evaluations + frames.iter().map(FrameAdjoint::bytes).sum::<usize>()
     }
 
-    /// Lists shared by successive evaluations count once.
+    /// The recorded lists; lists shared by successive evaluations come once.
     fn distinct_lists(&self) -> impl Iterator<Item = &Arc<Vec<Chunk>>> {
         let mut last: Option<&Arc<Vec<Chunk>>> = None;
         self.evaluations.iter().map(|e| &e.chunks).filter(move |chunks| {
@@ -182,21 +184,21 @@ impl<const D: usize> Tape<D> {
     }
 }
 
-/// System: keeps the force evaluation just made.
+/// System: records the force evaluation just made.
 pub fn record_evaluation<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     (clock, cloud): (Res<Clock>, Res<Cloud<D>>),
     mut adjoint: ResMut<AdjointCloud<D>>,
     mut tape: ResMut<Tape<D>>,
 ) {
-    // Who was near on the way back is not who is near now.
+    // The neighbours found while running backwards are not those of this evaluation.
     adjoint.sifted = None;
     if tape.running {
         tape.push(&cloud, &neighbours.chunks, clock.evaluated);
     }
 }
 
-/// System: adds the loss of the step just come back to.
+/// System: adds the derivatives of the loss of the step just returned to.
 pub fn add_loss<const D: usize>(
     mut rows: Query<(&Identity, &mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
     clock: Res<Clock>,
@@ -215,7 +217,7 @@ pub fn add_loss<const D: usize>(
     for &(place, by) in &frame.parameters {
         adjoint.parameters[place] += by;
     }
-    // The loss of a step saw the densities of its last evaluation.
+    // The loss of a step uses the densities of its last evaluation.
     adjoint.carried.resize(frame.density.len(), (0.0, 0.0));
     adjoint.carried.iter_mut().zip(&frame.density).for_each(|(share, by)| share.1 += by);
     tape.spare.1.push(frame);

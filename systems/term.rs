@@ -1,5 +1,6 @@
-//! Terms: what a flow is made of. Every contribution to the motion, and everything that judges it, is one object
-//! that says which systems it needs, forwards and for derivatives; all schedules follow from the list of terms.
+//! Terms: the parts of a flow. Every contribution to the motion, every loss and every limit is one
+//! object that names the systems it needs, forwards and for derivatives. All schedules follow from
+//! the list of terms.
 
 use super::columns::Column;
 use super::{Needs, Occasion, Phase};
@@ -13,14 +14,14 @@ use std::fmt::Debug;
 /// Systems with their order.
 pub type Systems = ScheduleConfigs<ScheduleSystem>;
 
-/// One contribution to the motion, or one judgement of it.
+/// One contribution to the motion, one loss or one limit.
 ///
-/// A term without a tangent (or pullback) runs forwards; a forward gradient (or an adjoint) of a flow that holds it
-/// is refused, with the name of the term.
+/// A term without a tangent can run forwards, but a forward gradient of a flow that holds it is
+/// refused, with the name of the term; likewise an adjoint for a term without a pullback.
 ///
 /// A force on each particle that depends on its own state is written more shortly as a
 /// [`ParticleForce`](super::particle_force::ParticleForce), and a force between two particles as a
-/// [`CentralForce`](crate::models::CentralForce); both are differentiated by dual numbers.
+/// [`CentralForce`](crate::models::CentralForce). Both are differentiated with dual numbers.
 pub trait Term<const D: usize>: Debug + Send + Sync + 'static {
     /// Its name, in scenes, in `--explain` and in the momentum of each term.
     fn name(&self) -> String;
@@ -30,41 +31,42 @@ pub trait Term<const D: usize>: Debug + Send + Sync + 'static {
         Vec::new()
     }
 
-    /// Its parameters with the values that they start with. Two terms may name the same parameter.
+    /// Its parameters with their initial values. Two terms may name the same parameter.
     fn parameters(&self) -> Vec<ParameterSpec> {
         Vec::new()
     }
 
-    /// Puts its resources into the World, once, before the particles are there; `places` are those of its parameters in the flat vector of all.
+    /// Inserts its resources into the World, once, before the particles are spawned; `places` are
+    /// the places of its parameters in the flat vector of all parameters.
     fn insert(&self, places: &[usize], world: &mut World) {
         let _ = (places, world);
     }
 
-    /// Puts other values of its parameters in force; in the order of [`Term::parameters`].
+    /// Sets the values of its parameters, in the order of [`Term::parameters`].
     fn set_parameters(&self, values: &[f64], world: &mut World) {
         let _ = (values, world);
     }
 
-    /// Forgets what it remembers of a run, since the flow goes back to step zero.
+    /// Resets what it keeps of a run, because the flow returns to step zero.
     fn reset(&self, world: &mut World) {
         let _ = world;
     }
 
-    /// Its systems on an occasion; asked once for each.
+    /// Its systems on an occasion; called once for each occasion.
     fn stages(&self, occasion: Occasion, needs: &Needs) -> Vec<Stage>;
 
-    /// `Σ m a` of each of its contributions, as the flow stands after a force evaluation; none of a term that gives
-    /// no acceleration.
+    /// `Σ m a` of each of its contributions at the last force evaluation; empty for a term that
+    /// gives no acceleration.
     fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
         let _ = world;
         Vec::new()
     }
 }
 
-/// What a contribution is summed under where a report has three columns.
+/// The column under which a report sums a contribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ContributionKind {
-    /// Pressure, or what a model has learned in its place.
+    /// Pressure, or the learned function in its place.
     Pressure,
     /// Any other force between pairs.
     Viscosity,
@@ -72,12 +74,12 @@ pub enum ContributionKind {
     Forcing,
 }
 
-/// What a part of a term does to the momentum of all particles.
+/// The rate at which a part of a term changes the total momentum.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contribution<const D: usize> {
     /// Name of the part, for example `physics: pressure`.
     pub name: String,
-    /// What it is summed under.
+    /// The column that it is summed under.
     pub kind: ContributionKind,
     /// `Σ m a`: zero to round-off where the part conserves momentum.
     pub rate: Vector<f64, D>,
@@ -86,7 +88,7 @@ pub struct Contribution<const D: usize> {
 }
 
 impl<const D: usize> Contribution<D> {
-    /// Of these accelerations of particles of mass `mass`.
+    /// From the accelerations of particles of mass `mass`.
     pub fn of(
         name: impl Into<String>,
         kind: ContributionKind,
@@ -99,17 +101,17 @@ impl<const D: usize> Contribution<D> {
     }
 }
 
-/// What is known of a system's derivative.
+/// A stage's tangent or pullback.
 enum Derivative {
-    /// Nothing: the system may change anything.
+    /// Not given, and the systems may change anything.
     Unknown,
-    /// The system changes nothing that a derivative passes through.
+    /// None needed: the systems change nothing that a derivative passes through.
     None,
     /// These systems.
     Known(Systems),
 }
 
-/// Some systems of a term in one phase, with their derivatives.
+/// The systems of a term in one phase, with their derivatives.
 pub struct Stage {
     phase: Phase,
     forward: Option<Systems>,
@@ -118,7 +120,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Systems whose derivatives are not known.
+    /// Systems without known derivatives.
     pub fn new<M>(phase: Phase, forward: impl IntoScheduleConfigs<ScheduleSystem, M>) -> Self {
         let forward = Some(forward.into_configs());
         Self { phase, forward, tangent: Derivative::Unknown, pullback: Derivative::Unknown }
@@ -130,7 +132,7 @@ impl Stage {
         Self { phase, forward, tangent: Derivative::None, pullback: Derivative::None }
     }
 
-    /// Nothing forwards, and a pullback of what an earlier evaluation left.
+    /// A pullback without forward systems: of values that an earlier evaluation computed.
     pub fn backwards<M>(
         phase: Phase,
         pullback: impl IntoScheduleConfigs<ScheduleSystem, M>,
@@ -156,7 +158,7 @@ impl Stage {
         self.phase
     }
 
-    /// Whether a gradient of this kind lacks the derivative.
+    /// The derivative that a gradient of this kind needs and the stage lacks.
     pub(super) fn lacks(&self, needs: &Needs) -> Option<&'static str> {
         let unknown = |derivative: &Derivative| matches!(derivative, Derivative::Unknown);
         if needs.sensitivities && unknown(&self.tangent) {

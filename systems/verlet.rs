@@ -87,7 +87,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Time at a step, without the drift of repeated addition.
+    /// Time at a step, without the accumulated error of repeated addition.
     pub fn time_at(&self, step: u64, dt: f64) -> f64 {
         self.start + step as f64 * dt
     }
@@ -132,7 +132,7 @@ pub fn kick<const D: usize>(
     }
 }
 
-/// System: the drift, `r += dt v`, back into the box.
+/// System: the drift, `r += dt v`, wrapped into the box.
 pub fn drift<const D: usize>(
     mut particles: Query<(&mut Position<D>, &Velocity<D>), With<Identity>>,
     integrator: Res<Integrator>,

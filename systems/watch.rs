@@ -1,4 +1,5 @@
-//! The watch: a run whose numbers have lost their meaning stops, and says which, whose, when and why.
+//! Limits: a run whose numbers have become meaningless stops, and names the quantity, the particle,
+//! the time and the remedy.
 
 use super::acceleration::Laws;
 use super::neighbours::Neighbours;
@@ -18,24 +19,27 @@ use serde::{Deserialize, Serialize};
 pub struct Limits {
     /// Largest Courant number `(c_s + |v|) dt/h` of any particle.
     pub courant: f64,
-    /// Largest kinetic energy per unit mass.
+    /// Largest kinetic energy per unit mass, as a mean over all particles.
     pub energy: f64,
 }
 
 impl Default for Limits {
-    /// Courant number 1 (a step is chosen at 0.4), and speeds of a thousand box units.
+    /// Courant number 1 (time steps are chosen at 0.4), and an energy of 10⁶, which is a speed of
+    /// about 1400 in the units of the scene.
     fn default() -> Self {
         Self { courant: 1.0, energy: 1e6 }
     }
 }
 
-/// With fewer neighbours than this on average, particles are a gas without pressure: the smoothing length is too short.
+/// Mean number of neighbours per particle below which the smoothing length is too short: most
+/// particles feel no pressure.
 pub const LONELY: f64 = 1.0;
 
 /// Smoothing lengths of the shipped scenes, in particle spacings, in two and in three dimensions.
 const USUAL: [f64; 2] = [1.0186, 0.853];
 
-/// What to say of particles with too few neighbours: their number, the smoothing length and one that reaches.
+/// The message about particles with too few neighbours: their mean number, the kernel's reach, and
+/// a smoothing length that is long enough.
 pub fn loneliness<const D: usize>(neighbours: &Neighbours<D>, cloud: &Cloud<D>) -> Option<String> {
     let count = cloud.len();
     let mean = neighbours.pairs(cloud) as f64 / count.max(1) as f64;
@@ -50,7 +54,7 @@ pub fn loneliness<const D: usize>(neighbours: &Neighbours<D>, cloud: &Cloud<D>) 
     })
 }
 
-/// Why the run must stop, if it must.
+/// The error with which the run must stop, if it must.
 #[derive(Resource, Debug, Default)]
 pub struct Failure(pub Option<Error>);
 
@@ -69,11 +73,11 @@ impl<const D: usize> Term<D> for Watch {
     }
 }
 
-/// A particle as the watch sees it.
+/// The components of a particle that limits depend on.
 type Watched<'a, const D: usize> =
     (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Acceleration<D>, &'a Density);
 
-/// System: looks at every particle after every step.
+/// System: checks every particle after every step.
 pub fn watch<const D: usize>(
     particles: Query<Watched<'_, D>>,
     (limits, integrator, clock, laws): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Laws<D>>),
@@ -96,7 +100,7 @@ pub fn watch<const D: usize>(
     if look.finite && fastest <= limits.courant && 0.5 * look.square <= limits.energy {
         return;
     }
-    // Something is broken, or a bound of it: look closer.
+    // A number is not finite, or a bound exceeds a limit: check particle by particle.
     let all = particles.contiguous_iter().into_iter().flatten();
     let rows = all.flat_map(|(id, r, v, a, rho)| id.iter().zip(r).zip(v).zip(a).zip(rho));
     let mut closer = CloserLook::default();
@@ -118,10 +122,10 @@ pub fn watch<const D: usize>(
     });
 }
 
-/// What bounds everything that could be wrong, in one pass over the particles.
+/// Bounds of everything that is checked, found in one pass over the particles.
 #[derive(Clone, Copy)]
 struct Look {
-    /// Whether every number is one.
+    /// Whether every number is finite.
     finite: bool,
     /// Largest `|v|²`.
     square: f64,
@@ -162,7 +166,8 @@ impl Look {
         }
     }
 
-    /// A bound of the largest signal speed: the fastest particle in the fastest sound.
+    /// An upper bound of the largest signal speed: the largest speed plus the largest speed of
+    /// sound.
     fn fastest(&self, sound_speed: impl Fn(f64) -> f64) -> f64 {
         let (low, high) = self.density;
         if low > high {
@@ -172,20 +177,20 @@ impl Look {
     }
 }
 
-/// What is wrong, and with whom.
+/// The particle-by-particle check: which quantity exceeds a limit, and in which particle.
 #[derive(Default)]
 struct CloserLook {
-    /// Rank of the broken quantity in [`BROKEN`], and whose.
+    /// Index in [`BROKEN`] of the first quantity that is not finite, and its row.
     not_finite: Option<(usize, usize)>,
     count: usize,
     energy: f64,
-    /// Largest signal speed, whose, and the share of its sound.
+    /// Largest signal speed `c_s + |v|`, its row, and its sound speed `c_s`.
     speed: (f64, usize, f64),
 }
 
-/// Quantities in the order in which trouble spreads: a lost number reaches its own particle's position
-/// a step before it reaches anyone else's, while one force evaluation carries it to the accelerations
-/// of all. The first in this order therefore names where it began.
+/// Quantities in the order in which a NaN spreads. A NaN reaches the position of its own particle a
+/// step before it reaches any other position, while one force evaluation carries it to the
+/// accelerations of other particles. The first quantity in this order therefore names the origin.
 const BROKEN: [&str; 4] = ["position", "velocity", "density", "acceleration"];
 
 impl CloserLook {
@@ -203,7 +208,7 @@ impl CloserLook {
         }
     }
 
-    /// `(quantity, found, remedy)` of a number that is none.
+    /// `(quantity, found, remedy)` of the quantity that is not finite.
     fn broken(&self, is_start: bool) -> Option<(String, String, String)> {
         let (rank, row) = self.not_finite?;
         let remedy = match (is_start, rank) {
@@ -217,8 +222,9 @@ impl CloserLook {
         Some((quantity, "is not a finite number".to_owned(), remedy.to_owned()))
     }
 
-    /// `(quantity, found, remedy)` of the first limit broken; a Courant number is a speed `per_speed`. At the start of
-    /// a run no step was taken that could be too long.
+    /// `(quantity, found, remedy)` of the first limit exceeded. `per_speed` is the Courant number
+    /// of unit speed. At the start of a run no step has been taken, and the remedy cannot be a
+    /// smaller one.
     fn verdict(
         &self,
         limits: Limits,

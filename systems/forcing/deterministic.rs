@@ -1,4 +1,4 @@
-//! Deterministic forcing: energy at a fixed rate, `f = (θ/E)(v − v̄)`.
+//! Deterministic forcing: injects energy at a constant rate, `f = (θ/E)(v − v̄)`.
 
 use crate::cells::FEWEST;
 use crate::forcing::{EnergyInjection, Power};
@@ -22,7 +22,7 @@ pub struct DeterministicForcing {
     pub power: Power,
     /// Place of `θ` in the flat vector of parameters.
     place: usize,
-    /// The law that it last obeyed.
+    /// The law of the last force evaluation.
     law: Option<EnergyInjection>,
 }
 
@@ -32,7 +32,7 @@ impl DeterministicForcing {
         Self { theta, power, place: 0, law: None }
     }
 
-    /// The law for the velocities that a cloud now holds.
+    /// The law for the velocities in a cloud.
     fn now<const D: usize>(&self, cloud: &Cloud<D>) -> EnergyInjection {
         EnergyInjection::new(self.theta, self.power, cloud.particles(), |p| p.velocity)
     }
@@ -91,8 +91,8 @@ fn force_deterministically<const D: usize>(
     forcing.law = Some(injection);
 }
 
-/// System: the tangent of [`force_deterministically`]: `v̄` and `E` couple all particles, so two sums
-/// over all of them come first.
+/// System: the tangent of [`force_deterministically`]. `v̄` and `E` couple all particles, so that
+/// two sums over all particles are needed first.
 fn force_deterministically_tangent<const D: usize>(
     forcing: Res<DeterministicForcing>,
     cloud: Res<Cloud<D>>,

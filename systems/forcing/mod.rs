@@ -1,4 +1,4 @@
-//! Forcing as terms: appendix A.3 over the cloud, with tangents and pullbacks.
+//! Forcing terms, appendix A.3, with tangents and pullbacks.
 
 mod deterministic;
 mod ornstein_uhlenbeck;
@@ -12,7 +12,7 @@ use super::term::Term;
 use crate::forcing::ornstein_uhlenbeck::Settings;
 use crate::scene::{Forcing, Scene};
 
-/// The terms of a scene's forcing: none where there is none.
+/// The terms of a scene's forcing; empty without forcing.
 pub fn terms<const D: usize>(scene: &Scene) -> Vec<Box<dyn Term<D>>> {
     match scene.forcing {
         Forcing::None => Vec::new(),

@@ -1,4 +1,4 @@
-//! Ornstein–Uhlenbeck forcing: large-scale waves with a memory.
+//! Ornstein–Uhlenbeck forcing: large-scale waves with a correlation time.
 
 use crate::forcing::ornstein_uhlenbeck::{OrnsteinUhlenbeck, Settings};
 use crate::pairs::CHUNK;
@@ -14,12 +14,12 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// Term: a solenoidal force on large scales with a correlation time, [`OrnsteinUhlenbeck`], less its mean over the
-/// particles, which would push the whole flow.
+/// Term: a solenoidal large-scale force with a correlation time, [`OrnsteinUhlenbeck`], minus its
+/// mean over the particles, so that the total momentum is not forced.
 #[derive(Resource, Clone, Debug)]
 pub struct OrnsteinUhlenbeckForcing {
     process: OrnsteinUhlenbeck,
-    /// Memory of [`force_by_waves`].
+    /// Buffer of [`force_by_waves`].
     forces: Vec<[f64; 3]>,
 }
 
@@ -31,7 +31,7 @@ impl OrnsteinUhlenbeckForcing {
         Self { process, forces: Vec::new() }
     }
 
-    /// The force on each particle at a step less their mean, in cell order.
+    /// The force on each particle at a step, minus the mean over the particles, in cell order.
     fn find_forces<const D: usize>(
         &mut self,
         (cloud, step): (&Cloud<D>, u64),

@@ -18,14 +18,14 @@ use rayon::prelude::*;
 pub struct StochasticForcing {
     /// Seed of the phases.
     pub seed: u64,
-    /// Time after which the phases are drawn anew: not per step, so that the injected power does
-    /// not depend on `dt`.
+    /// Time between two draws of the phases. It is not the time step, so that the injected power
+    /// does not depend on `dt`.
     pub interval: f64,
     /// Factor on the paper's amplitudes.
     pub strength: f64,
     modes: Vec<Mode>,
     drawn: Option<u64>,
-    /// Memory of [`force_stochastically`].
+    /// Buffer of [`force_stochastically`].
     forces: Vec<[f64; 3]>,
 }
 
@@ -36,7 +36,7 @@ impl StochasticForcing {
     }
 
     fn draw(&mut self, dimension: usize, length: f64, time: f64) {
-        // Half a step of slack in time, so that round-off cannot move a redraw by a step.
+        // The caller adds half a step to the time, so that round-off cannot move a draw by a step.
         let interval = (time / self.interval).floor() as u64;
         if self.drawn != Some(interval) {
             self.modes = stochastic_modes(dimension, length, self.seed, interval);
@@ -53,7 +53,7 @@ impl StochasticForcing {
         force
     }
 
-    /// The force on each particle less their mean, in cell order.
+    /// The force on each particle, minus the mean over the particles, in cell order.
     fn find_forces<const D: usize>(&self, cloud: &Cloud<D>, into: &mut Vec<[f64; 3]>) {
         let particles = cloud.particles().par_iter().with_min_len(CHUNK);
         particles.map(|p| self.force::<D>(p.position).to_3d()).collect_into_vec(into);
@@ -107,8 +107,8 @@ impl<const D: usize> Term<D> for StochasticForcing {
     }
 }
 
-/// System: adds the stochastic force less its mean over the particles, which would push the whole
-/// flow.
+/// System: adds the stochastic force minus its mean over the particles, so that the total momentum
+/// is not forced.
 fn force_stochastically<const D: usize>(
     clock: Res<Clock>,
     integrator: Res<Integrator>,

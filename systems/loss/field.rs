@@ -1,4 +1,4 @@
-//! The field loss as a term: the smoothed velocity on a mesh against the truth's.
+//! The field loss as a term: the smoothed velocity on a mesh compared with the truth's.
 
 use super::{FrameLoss, LossPart, Seen, packed};
 use crate::kernel::{AnyKernel, Kernel, Smoothing};
@@ -10,7 +10,7 @@ use crate::scalar::Lanes;
 use crate::systems::particles::SensitivityBlock;
 use crate::vector::Vector;
 
-/// [`field_loss`], with what the field owes to the kernel's own parameters.
+/// [`field_loss`], with the direct dependence of the field on the kernel's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldLoss;
 
@@ -27,12 +27,12 @@ fn points<'a, const D: usize>(
     }
 }
 
-/// Weight of a frame: the loss is a mean over those of the window.
+/// Weight of a frame: the loss is a mean over the frames of the window.
 fn weight<const D: usize>(seen: &Seen<'_, D>) -> f64 {
     seen.observations.field / seen.observations.window as f64
 }
 
-/// `∂V/∂p` on the mesh of each parameter of the kernel, with its place in the flat vector.
+/// `∂V/∂p` on the mesh for each parameter `p` of the kernel, with its place in the flat vector.
 fn by_kernel<const D: usize>(seen: &Seen<'_, D>) -> Vec<(usize, Vec<Vector<f64, D>>)> {
     let Smoothing { h, .. } = seen.medium.smoothing;
     let kernel = seen.medium.smoothing.kernel();

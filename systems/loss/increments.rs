@@ -1,4 +1,4 @@
-//! The statistical loss as a term: velocity increments against the truth's.
+//! The statistical loss as a term: velocity increments compared with the truth's.
 
 use super::{FrameLoss, LossPart, Seen, packed};
 use crate::losses::{
@@ -11,7 +11,7 @@ use crate::systems::particles::SensitivityBlock;
 #[derive(Clone, Copy, Debug)]
 pub struct StatisticalLoss;
 
-/// The true densities of increments with their weight, where this frame counts.
+/// The true densities of increments and their weight, where this frame counts.
 fn truth<'a, const D: usize>(seen: &Seen<'a, D>) -> Option<(&'a IncrementDensities<D>, f64)> {
     let counts = seen.is_last || seen.observations.times == Times::All;
     let increments = seen.frame.increments.as_ref().filter(|_| counts)?;

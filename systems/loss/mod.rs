@@ -1,6 +1,6 @@
 //! Losses: at each observed step the flow is compared with the truth.
 //!
-//! A loss is one file here: a [`FrameLoss`], and a line in [`losses`].
+//! To add a loss, write one file here with a [`FrameLoss`], and add a line to [`losses`].
 
 mod field;
 mod increments;
@@ -27,27 +27,27 @@ use bevy_ecs::prelude::*;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// A true state of the flow, and the field it makes.
+/// A true state of the flow, and its smoothed field.
 #[derive(Clone, Debug, Default)]
 pub struct Observation<const D: usize> {
-    /// Step of the predicted flow that it belongs to.
+    /// The step of the predicted flow at which it is observed.
     pub step: u64,
     /// `r̂` by particle.
     pub positions: Vec<Vector<f64, D>>,
     /// `v̂` by particle.
     pub velocities: Vec<Vector<f64, D>>,
-    /// `V̂` by mesh node; empty where no field loss is asked for.
+    /// `V̂` by mesh node; empty without a field loss.
     pub field: Vec<Vector<f64, D>>,
-    /// Densities of `v̂ − u(0)`; none where no statistical loss is asked for.
+    /// Densities of `v̂ − u(0)`; none without a statistical loss.
     pub increments: Option<IncrementDensities<D>>,
 }
 
-/// What a World is compared with.
+/// The observations that a World is compared with.
 #[derive(Resource, Clone, Debug)]
 pub struct Observations<const D: usize> {
     /// True states in order of step.
     pub frames: Arc<Vec<Observation<D>>>,
-    /// How many of them count.
+    /// Number of frames in the loss, counted from the first.
     pub window: usize,
     /// Weight of the trajectory loss; not computed at zero.
     pub trajectory: f64,
@@ -57,14 +57,15 @@ pub struct Observations<const D: usize> {
     pub mesh: Mesh<D>,
     /// Weight of each frame that counts in the statistical loss.
     pub kl: f64,
-    /// Which frames those are.
+    /// Which frames count in the statistical loss.
     pub times: Times,
     /// `u(0)` by particle: the velocities that the prediction starts with.
     pub start: Arc<Vec<Vector<f64, D>>>,
 }
 
 impl<const D: usize> Observations<D> {
-    /// The frame observed at a step, within the window, and whether it is the last.
+    /// The frame observed at a step, if it lies within the window, and whether it is the window's
+    /// last.
     fn at(&self, step: u64) -> Option<(&Observation<D>, bool)> {
         let frames = &self.frames[..self.window];
         let index = frames.iter().position(|frame| frame.step == step)?;
@@ -72,10 +73,10 @@ impl<const D: usize> Observations<D> {
     }
 }
 
-/// What a loss compares at an observed step.
+/// The inputs of a loss at an observed step.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a, const D: usize> {
-    /// What the World is compared with.
+    /// The observations.
     pub observations: &'a Observations<D>,
     /// The true state.
     pub frame: &'a Observation<D>,
@@ -83,7 +84,7 @@ pub struct Seen<'a, const D: usize> {
     pub is_last: bool,
     /// The flow: mass, kernel, parameters.
     pub medium: &'a Medium<D>,
-    /// Places of the medium's parameters in the flat vector.
+    /// Places of the fluid's parameters in the flat vector.
     pub places: &'a [usize],
     /// Cells and box.
     pub neighbours: &'a Neighbours<D>,
@@ -96,13 +97,14 @@ pub trait FrameLoss<const D: usize>: Debug + Send + Sync + 'static {
     /// Its name, in scenes and reports.
     fn name(&self) -> &'static str;
 
-    /// An empty sum of its kind, over blocks of parameters.
+    /// An empty sum for this loss, over `blocks` blocks of parameters.
     fn empty(&self, blocks: usize) -> LossPart;
 
     /// Adds a frame's share, with its gradient by the parameters of each block of sensitivities.
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart);
 
-    /// A frame's share, with its derivatives by the state of every particle; none where it has no share.
+    /// A frame's share, with its derivatives by the state of every particle; none where the frame
+    /// has no share.
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>>;
 
     /// A frame's share alone.
@@ -111,12 +113,13 @@ pub trait FrameLoss<const D: usize>: Debug + Send + Sync + 'static {
     }
 }
 
-/// The sensitivities of particles, block by block.
+/// The packed sensitivities of all particles, block by block.
 fn packed<const D: usize>(blocks: &[SensitivityBlock<D>]) -> Vec<&[PackedSensitivity<D>]> {
     blocks.iter().map(|block| &block.packed[..]).collect()
 }
 
-/// The losses that observations ask for, in the order in which they are summed; one of weight zero is not computed.
+/// The losses that observations ask for, in the order in which they are summed. A loss of weight
+/// zero is left out.
 pub fn losses<const D: usize>(observations: &Observations<D>) -> Vec<Box<dyn FrameLoss<D>>> {
     let all: [(f64, Box<dyn FrameLoss<D>>); 3] = [
         (observations.trajectory, Box::new(TrajectoryLoss)),
@@ -133,14 +136,14 @@ pub struct Losses<const D: usize>(pub Vec<Box<dyn FrameLoss<D>>>);
 /// The sum of one loss.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LossPart {
-    /// Sums of squares by what was measured, with their Gauss–Newton matrices.
+    /// Sums of squares by measured quantity, with their Gauss–Newton matrices.
     Squares(Vec<(&'static str, SquareSum)>),
-    /// No sum of squares.
+    /// A loss that is not a sum of squares.
     Gradient(GradientSum),
 }
 
 impl LossPart {
-    /// Empty sums of squares of these quantities, over `blocks` blocks of parameters.
+    /// Empty sums of squares of the named quantities, over `blocks` blocks of parameters.
     pub fn squares<const N: usize>(names: [&'static str; N], blocks: usize) -> Self {
         Self::Squares(names.map(|name| (name, SquareSum::new(blocks))).to_vec())
     }
@@ -168,7 +171,8 @@ impl LossPart {
         }
     }
 
-    /// The Gauss–Newton matrix of the first `count` parameters; none of a loss that is no sum of squares.
+    /// The Gauss–Newton matrix of the first `count` parameters; none where the loss is not a sum of
+    /// squares.
     pub fn normal(&self, count: usize) -> Option<Vec<f64>> {
         match self {
             Self::Squares(sums) => {
@@ -180,7 +184,8 @@ impl LossPart {
 
     fn add_value(&mut self, value: f64) {
         match self {
-            // By the adjoint no share has a matrix, and nothing is told apart.
+            // In adjoint mode there is no Gauss–Newton matrix, and the first sum holds the total of
+            // all quantities.
             Self::Squares(sums) => sums.iter_mut().take(1).for_each(|(_, sum)| sum.value += value),
             Self::Gradient(sum) => sum.value += value,
         }
@@ -194,12 +199,12 @@ pub struct LossSum {
 }
 
 impl LossSum {
-    /// Nothing yet of these losses, over `blocks` blocks of parameters.
+    /// Empty sums of these losses, over `blocks` blocks of parameters.
     pub fn new<const D: usize>(losses: &[Box<dyn FrameLoss<D>>], blocks: usize) -> Self {
         Self { parts: losses.iter().map(|loss| (loss.name(), loss.empty(blocks))).collect() }
     }
 
-    /// All parts together.
+    /// The sum of all parts.
     pub fn value(&self) -> f64 {
         self.parts.iter().map(|(_, part)| part.value()).sum()
     }
@@ -219,7 +224,7 @@ impl LossSum {
         sum(count, self.parts.iter().map(|(_, part)| part.gradient(count)))
     }
 
-    /// The sums of squares by what was measured; none where some part is no sum of squares.
+    /// The sums of squares by measured quantity; none where some part is not a sum of squares.
     pub fn squares(&self) -> Option<Vec<&(&'static str, SquareSum)>> {
         let parts = self.parts.iter().map(|(_, part)| match part {
             LossPart::Squares(sums) => Some(sums),
@@ -239,7 +244,7 @@ fn sum(count: usize, parts: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
     parts.reduce(add).unwrap_or_else(|| vec![0.0; count])
 }
 
-/// Term: one of the losses of a World. The first runs the systems of all.
+/// Term: one of the losses of a World. The term of the first loss runs the systems of all losses.
 #[derive(Clone, Debug)]
 pub struct LossTerm {
     /// Its number in [`Losses`].
@@ -274,7 +279,7 @@ pub fn is_observed<const D: usize>(
     observations.is_some_and(|observations| observations.at(clock.step).is_some())
 }
 
-/// What the losses compare.
+/// The data that losses read.
 #[derive(bevy_ecs::system::SystemParam)]
 pub struct Comparison<'w, const D: usize> {
     clock: Res<'w, Clock>,
@@ -313,8 +318,8 @@ pub fn accumulate_loss<const D: usize>(
     }
 }
 
-/// System: as [`accumulate_loss`] without sensitivities; keeps on the tape how the loss depends on
-/// the state of every particle.
+/// System: as [`accumulate_loss`], in adjoint mode: records the derivatives of the loss by the
+/// state of every particle on the tape.
 pub fn accumulate_loss_adjoint<const D: usize>(
     comparison: Comparison<'_, D>,
     mut tape: ResMut<Tape<D>>,

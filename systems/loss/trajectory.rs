@@ -1,4 +1,4 @@
-//! The trajectory loss as a term: every particle against its true self.
+//! The trajectory loss as a term: every particle compared with the same particle of the truth.
 
 use super::{FrameLoss, LossPart, Seen, packed};
 use crate::losses::{StateAdjoint, trajectory_adjoint, trajectory_loss};
