@@ -1,7 +1,7 @@
 //! Arrays of other programs: the `.npy` files that `numpy.save` writes.
 //!
-//! The file is not trusted: nothing is allocated by a length that its header alone claims, and the header
-//! is read in one pass without recursion.
+//! The file is not trusted: no allocation has a size that only its header claims, and the header is
+//! read in one pass without recursion.
 
 use crate::error::{Error, Result};
 use crate::files;
@@ -9,23 +9,23 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// What every `.npy` file begins with.
+/// Magic bytes at the start of every `.npy` file.
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// What to do about what is no array.
+/// The remedy for a file that is not an array.
 const SAVE: &str = "save it with numpy.save";
 
-/// No header is longer: that of an array of numbers has some hundred bytes.
+/// Length of a header in bytes, maximum: that of an array of numbers has about a hundred.
 const LONGEST_HEADER: u64 = 1 << 16;
 
-/// An array of finite numbers, as doubles.
+/// An array of finite numbers, as `f64`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
     /// Lengths of its axes.
     pub shape: Vec<usize>,
     /// Its numbers, in the order of the file.
     pub values: Vec<f64>,
-    /// Whether the first axis runs fastest.
+    /// Whether the first axis varies fastest.
     fortran: bool,
 }
 
@@ -33,7 +33,8 @@ impl Array {
     /// The array of a `.npy` file: `f32` or `f64` of either byte order, C or Fortran order, with `rank` axes.
     ///
     /// # Errors
-    /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is anything else.
+    /// [`Error::File`] if the file cannot be read, [`Error::Input`] if it does not hold such an
+    /// array.
     pub fn open(path: &Path, rank: usize) -> Result<Self> {
         files::must_be_a_file(path)?;
         let failed = |source| Error::read(path, source);
@@ -42,7 +43,7 @@ impl Array {
         Self::read((BufReader::new(file), bytes), rank, path.display())
     }
 
-    /// The same from the `bytes` bytes of a reader; `place` names it in errors.
+    /// The same from a reader of `bytes` bytes; `place` names it in errors.
     ///
     /// # Errors
     /// [`Error::Input`] as [`Array::open`].
@@ -84,7 +85,7 @@ impl Array {
         }
     }
 
-    /// Refuses another shape; `place` names the array in the error.
+    /// Refuses an array of another shape; `place` names the array in the error.
     ///
     /// # Errors
     /// [`Error::Input`].
@@ -96,7 +97,7 @@ impl Array {
         Err(Error::input(place, expected, found, "give arrays of one flow"))
     }
 
-    /// The index of a number by its place in the file.
+    /// The index, one entry per axis, of the number at a place in the file.
     fn index_of(&self, mut place: usize) -> Vec<usize> {
         let mut index = vec![0; self.shape.len()];
         let mut take = |axis: usize| {
@@ -118,7 +119,7 @@ impl Array {
     }
 }
 
-/// A type of numbers that is not read, in words.
+/// The description of a type of numbers that is not supported.
 fn words(descr: &str) -> &'static str {
     match descr.trim_start_matches(['<', '>', '|', '=']).chars().next() {
         Some('f') => "floating point of another width",
@@ -132,7 +133,7 @@ fn words(descr: &str) -> &'static str {
     }
 }
 
-/// What to do about it.
+/// The remedy for such a type.
 fn instead_of(descr: &str) -> &'static str {
     match descr.trim_start_matches(['<', '>', '|', '=']).chars().next() {
         Some('O') => {
@@ -180,17 +181,18 @@ impl Kind {
     }
 }
 
-/// What a file says of its numbers.
+/// The description of the numbers in a file.
 struct Header {
     shape: Vec<usize>,
     kind: Kind,
     fortran: bool,
-    /// Bytes in front of the numbers.
+    /// Bytes before the numbers.
     length: u64,
 }
 
 impl Header {
-    /// Reads it from the front of a file; the error is what was found instead, and what to do.
+    /// Reads the header at the start of a file. The error says what was found instead, and the
+    /// remedy.
     fn read(
         reader: &mut impl Read,
         bytes: u64,
@@ -205,7 +207,7 @@ impl Header {
         ))
     }
 
-    /// Its text, and how many bytes stand before the numbers.
+    /// The text of the header, and the number of bytes before the numbers.
     fn text(
         reader: &mut impl Read,
         bytes: u64,
@@ -234,7 +236,7 @@ impl Header {
         Ok((String::from_utf8(take(text)?).map_err(no_text)?, length))
     }
 
-    /// What a header says of the type of its numbers.
+    /// The text of the header's `descr` field, the type of the numbers.
     fn descr(text: &str) -> Option<&str> {
         let after = text.split_once("descr")?.1.split_once(':')?.1.trim_start();
         let quote = after.chars().next()?;
@@ -245,7 +247,7 @@ impl Header {
         }
     }
 
-    /// From a text such as `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 7, 2), }`.
+    /// Parses a text such as `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 7, 2), }`.
     fn parse(text: &str, length: u64) -> Option<Self> {
         let text = text.trim().strip_prefix('{')?.strip_suffix('}')?;
         let value = |key: &str| {
@@ -303,7 +305,8 @@ mod tests {
         }
     }
 
-    /// A reader that trusts its header asks for four gigabytes, or recurses until the stack ends.
+    /// A reader that trusts the header allocates four gigabytes, or recurses until the stack
+    /// overflows.
     #[test]
     fn a_header_that_claims_too_much_or_nests_too_deep_is_refused() {
         let mut huge = file(2, "{}", &[]);

@@ -1,37 +1,38 @@
-//! A cell list: who is near a place, at a cost linear in the number of particles.
+//! A cell list: finds the particles near a place, at a cost linear in the number of particles.
 
 use crate::packed::PackedSingle;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
-/// Fewer particles than this, some microseconds of a pass that only moves numbers, are not worth another thread.
+/// Particles per parallel task, minimum, in a pass that only copies numbers: fewer take some
+/// microseconds, and are not worth another thread.
 pub(crate) const FEWEST: usize = 1024;
 
 /// A cell list: particles sorted by the cell they are in.
 ///
-/// A particle's cell follows from its coordinates as fixed-point numbers ([`PackedSingle`]), so that the
-/// cell of a place is known without its doubles.
+/// A particle's cell follows from its fixed-point coordinates ([`PackedSingle`]), without its
+/// position in `f64`.
 #[derive(Clone, Debug, Default)]
 pub struct Cells<const D: usize> {
     /// Cells along each axis.
     per_axis: usize,
     /// Side of the box.
     length: f64,
-    /// First slot of each cell, one more at the end.
+    /// First slot of each cell, and the number of slots at the end.
     start: Vec<u32>,
     /// Row of each slot.
     pub row_of_slot: Vec<u32>,
 }
 
 impl<const D: usize> Cells<D> {
-    /// Sorts particles into cells at least `reach` wide. Stable: equal positions, equal order.
+    /// Sorts particles into cells at least `reach` wide. The sort is stable.
     pub fn sort(&mut self, positions: &[Vector<f64, D>], space: PeriodicBox, reach: f64) {
         let mut slots = vec![0; positions.len()];
         self.sort_by(|row| positions[row], space, reach, &mut slots);
     }
 
-    /// As [`Self::sort`], of as many particles as there are `slots`, whose slots go there, row by row.
+    /// As [`Self::sort`], of `slots.len()` particles. Writes the slot of each row into `slots`.
     pub fn sort_by(
         &mut self,
         position: impl Fn(usize) -> Vector<f64, D> + Sync,
@@ -39,9 +40,10 @@ impl<const D: usize> Cells<D> {
         reach: f64,
         slots: &mut [u32],
     ) {
-        // More than a cell per particle along an axis would only cost memory.
+        // More cells along an axis than this would make more cells than particles, and only cost
+        // memory.
         let most = (slots.len() as f64).powf(1.0 / D as f64).ceil().max(1.0);
-        // Rounded coordinates may be a step farther apart than the particles.
+        // Rounded coordinates may be some steps farther apart than the particles.
         let width = reach + 4.0 * space.length / PackedSingle::STEPS;
         self.per_axis = (space.length / width).floor().clamp(1.0, most) as usize;
         self.length = space.length;
@@ -58,7 +60,7 @@ impl<const D: usize> Cells<D> {
         self.coordinates_of(position.0.map(|x| PackedSingle::fixed_point(x, space)))
     }
 
-    /// Cell coordinates of a place given by fixed-point coordinates.
+    /// Cell coordinates of fixed-point coordinates.
     #[inline(always)]
     pub fn coordinates_of(&self, place: [i32; D]) -> [usize; D] {
         let mut coordinates = [0; D];
@@ -68,7 +70,7 @@ impl<const D: usize> Cells<D> {
         coordinates
     }
 
-    /// The middle of a cell, in fixed-point steps.
+    /// The centre of a cell, in fixed-point steps.
     #[inline(always)]
     pub fn middle(&self, coordinates: [usize; D]) -> [i32; D] {
         let width = PackedSingle::STEPS / self.per_axis as f64;
@@ -79,8 +81,8 @@ impl<const D: usize> Cells<D> {
         middle
     }
 
-    /// Two to this power are as many fixed-point steps as make two cells 2¹⁵ steps or less, or the box 2¹⁶ where
-    /// it is less than four cells wide.
+    /// Right shift that maps 32-bit coordinates near a cell to 16 bits. After it, two cell widths
+    /// span at most 2¹⁵; a box less than four cells wide spans 2¹⁶.
     pub fn window_shift(&self) -> u32 {
         18_u32.saturating_sub(self.per_axis.max(4).ilog2())
     }
@@ -96,8 +98,8 @@ impl<const D: usize> Cells<D> {
         coordinates.iter().rev().fold(0, |index, &c| index * self.per_axis + c)
     }
 
-    /// A slot in a cell at least `least` cells along the first axis from the cell at `coordinates`, if the
-    /// cell halfway around the box has one.
+    /// The first slot of the cell half a box away along the first axis, if that cell is not empty
+    /// and at least `least` cells away from the cell at `coordinates`.
     pub fn far_from(&self, coordinates: [usize; D], least: usize) -> Option<usize> {
         let mut opposite = coordinates;
         opposite[0] = (coordinates[0] + self.per_axis / 2) % self.per_axis;
@@ -110,15 +112,15 @@ impl<const D: usize> Cells<D> {
         self.per_axis.pow(D as u32)
     }
 
-    /// Slots of the cell with this number.
+    /// Slots of the cell with index `cell`.
     #[inline(always)]
     pub fn range(&self, cell: usize) -> std::ops::Range<usize> {
         self.start[cell] as usize..self.start[cell + 1] as usize
     }
 
-    /// Ranges of slots that together hold every cell that touches the cell at `coordinates`, itself
-    /// included, each cell once even where the box is one or two cells wide. Cells side by side along
-    /// the first axis come as one range.
+    /// Ranges of slots that together hold the cell at `coordinates` and all cells that touch it.
+    /// Each cell comes once, also where the box is one or two cells wide. Neighbouring cells along
+    /// the first axis form one range.
     #[inline(always)]
     pub fn around(&self, coordinates: [usize; D]) -> Around {
         let mut around = Around::NONE;
@@ -133,8 +135,8 @@ impl<const D: usize> Cells<D> {
         around
     }
 
-    /// Calls `see` with the number of every cell that touches the cell with number `cell`, itself
-    /// included, each once.
+    /// Calls `see` once with the index of each cell that touches the cell with index `cell`, itself
+    /// included.
     #[inline(always)]
     pub fn for_each_around(&self, cell: usize, mut see: impl FnMut(usize)) {
         let (mut coordinates, mut rest) = ([0; D], cell);
@@ -151,8 +153,9 @@ impl<const D: usize> Cells<D> {
         }
     }
 
-    /// The first cell of each row along the first axis that touches the cell at `coordinates`, and how many
-    /// they are: its own row, the next one and the last along the second axis, and so on.
+    /// The index of the first cell of each row along the first axis that touches the cell at
+    /// `coordinates`, and the number of rows. A row is the cell's own, the next or the last along
+    /// each other axis.
     #[inline(always)]
     fn rows(&self, coordinates: [usize; D]) -> ([usize; MOST_ROWS], usize) {
         let n = self.per_axis;
@@ -160,7 +163,8 @@ impl<const D: usize> Cells<D> {
         for along in coordinates.into_iter().skip(1) {
             let next = if along + 1 < n { along + 1 } else { 0 };
             let last = if along > 0 { along - 1 } else { n - 1 };
-            // In a box of one or two cells next and last are the same, or the row itself.
+            // In a box of one or two cells the next and the last row are the same row, or the own
+            // one.
             let steps = [along, next, last];
             let different = n.min(3);
             for step in (0..different).rev() {
@@ -180,7 +184,8 @@ impl<const D: usize> Cells<D> {
     }
 }
 
-/// The cells next to number `x` in a row of `n`, and, where they are cut by the seam, those behind it.
+/// The range of cells next to cell `x` in a row of `n` and, where it crosses the periodic boundary,
+/// the range on the other side.
 #[inline(always)]
 fn along_row(n: usize, x: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     if n <= 3 {
@@ -196,9 +201,9 @@ fn along_row(n: usize, x: usize) -> (std::ops::Range<usize>, std::ops::Range<usi
     (x.saturating_sub(1)..(x + 2).min(n), behind_seam)
 }
 
-/// Sorts items by their keys, `0..count`, equal keys in the order of the items: `start` becomes the first
-/// place of each key, and one more at the end, `item_of_place` the item at each place, and every key the
-/// place of its item.
+/// Counting sort of items by their keys, `0..count`; stable. Afterwards `start` holds the first
+/// place of each key, and the number of items at the end; `item_of_place` the item at each place;
+/// and `keys` the place of each item.
 pub(crate) fn counting_sort(
     keys: &mut [u32],
     count: usize,
@@ -215,7 +220,7 @@ pub(crate) fn counting_sort(
     }
     item_of_place.resize(keys.len(), 0);
     for (item, key) in keys.iter_mut().enumerate().rev() {
-        // Filling from the back turns each count's end into its start, and keeps the order.
+        // Filling from the end turns each end into a start, and keeps the order of equal keys.
         let place = &mut start[*key as usize + 1];
         *place -= 1;
         item_of_place[*place as usize] = item as u32;
@@ -225,34 +230,34 @@ pub(crate) fn counting_sort(
     start.push(keys.len() as u32);
 }
 
-/// Rows of cells around a cell in 3D.
+/// Number of rows of cells around a cell, maximum: 3 × 3 in 3D.
 const MOST_ROWS: usize = 9;
 
-/// Every row is cut in two at the periodic seam at worst.
+/// Number of ranges of slots around a cell, maximum: the periodic boundary can cut each row in two.
 const MOST_RANGES: usize = 2 * MOST_ROWS;
 
-/// Consecutive slots near a place.
+/// A range of slots.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Range {
     /// The first.
     pub from: u32,
-    /// One behind the last.
+    /// One past the last.
     pub to: u32,
 }
 
 impl Range {
-    /// How many slots.
+    /// Number of slots.
     pub fn len(&self) -> usize {
         (self.to - self.from) as usize
     }
 
-    /// Whether there are none.
+    /// Whether it holds no slot.
     pub fn is_empty(&self) -> bool {
         self.from == self.to
     }
 }
 
-/// What [`Cells::around`] finds.
+/// The ranges that [`Cells::around`] finds.
 #[derive(Clone, Copy, Debug)]
 pub struct Around {
     ranges: [Range; MOST_RANGES],
@@ -260,7 +265,7 @@ pub struct Around {
 }
 
 impl Around {
-    /// Nothing.
+    /// No range.
     pub const NONE: Self = Self { ranges: [Range { from: 0, to: 0 }; MOST_RANGES], count: 0 };
 
     #[inline(always)]
@@ -275,7 +280,7 @@ impl Around {
         &self.ranges[..self.count]
     }
 
-    /// How many slots in all.
+    /// Number of slots in all ranges.
     #[inline(always)]
     pub fn candidates(&self) -> usize {
         self.ranges().iter().map(Range::len).sum()

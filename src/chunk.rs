@@ -1,53 +1,55 @@
-//! Lists of neighbours, eight at a time, as they are kept; [`crate::draft`] is how they are written.
+//! Neighbour lists in groups of eight, as they are stored; [`crate::draft`] builds them.
 
 use crate::draft::{Draft, Lists};
 use crate::pairs::{Surroundings, pick};
 use crate::scalar::{WIDTH, Wide};
 use crate::space::PeriodicBox;
 
-/// Particles per parallel task: fixed, so that no result depends on the number of threads.
+/// Particles per chunk, the unit of parallel work. It is fixed, so that no result depends on the
+/// number of threads.
 pub const CHUNK: usize = 256;
 
-/// Chunks that a thread takes at once at most: should it lose its core to another, those who wait for it wait
-/// for so much.
+/// Chunks per parallel task, maximum. Smaller tasks limit how long other threads wait for one that
+/// the operating system has suspended.
 pub const AT_ONCE: usize = 4;
 
-/// Lines of so many bytes in all are in the cache when they are needed.
+/// Size of all particle lines, in bytes, up to which they fit the cache and prefetching is skipped.
 const FITS_CACHE: usize = 4 << 20;
 
-/// Whose neighbours' lines are asked for while a particle meets its own: so many slots ahead.
+/// Prefetch distance in slots: while slot `k` is processed, the lines of the neighbours of slot `k
+/// + AHEAD` are prefetched.
 pub const AHEAD: usize = 4;
 
-/// The neighbours of [`CHUNK`] consecutive slots, as they are kept.
+/// The neighbour lists of [`CHUNK`] consecutive slots.
 ///
-/// Cells that touch are near each other in the order of the slots, too, so that two bytes for each
-/// neighbour are enough: its distance from the chunk's `base`. Where they are not, as at the seam of a box of
-/// more than 65535 particles, a chunk keeps whole slots.
+/// Cells that touch are close in the order of slots, so that 16 bits per neighbour are enough: its
+/// distance in slots from the chunk's `base`. Where they are not enough, as at the periodic
+/// boundary of a box of more than 65535 particles, a chunk stores 32-bit slots.
 #[derive(Clone, Debug, Default)]
 pub struct Chunk {
     /// First slot of the chunk.
     pub first: usize,
-    /// The slot that entries are counted from.
+    /// The slot from which entries are counted.
     base: usize,
-    /// Where each slot's eights start; one more at the end.
+    /// Index of each slot's first eight, and the total at the end.
     start: Vec<u32>,
-    /// Entries from the base on.
+    /// Distances of neighbours from the base.
     short: Vec<[u16; WIDTH]>,
-    /// Whole slots, in place of `short`.
+    /// Slots of neighbours, used in place of `short`.
     whole: Vec<[u32; WIDTH]>,
-    /// Of each slot, whether some neighbour may be across the seam of the box.
+    /// For each slot, whether some neighbour may be across the periodic boundary.
     seam: Vec<bool>,
 }
 
-/// How a neighbour is kept.
+/// The type in which a neighbour is stored.
 pub trait Entry: Copy + Default + 'static {
-    /// Those of a chunk.
+    /// The entries of a chunk.
     fn of(chunk: &Chunk) -> &[[Self; WIDTH]];
 
-    /// Slots from the chunk's base on.
+    /// The distance from the chunk's base, in slots.
     fn distance(self) -> usize;
 
-    /// Whoever is so many slots from the chunk's base.
+    /// The entry at this distance from the chunk's base.
     fn at(distance: usize) -> Self;
 }
 
@@ -94,7 +96,7 @@ pub struct Eight<'a, E> {
 }
 
 impl<'a, E> From<&'a [E; WIDTH]> for Eight<'a, E> {
-    /// Those with these slots.
+    /// Eight neighbours given by their slots.
     #[inline(always)]
     fn from(entries: &'a [E; WIDTH]) -> Self {
         Self { base: 0, entries }
@@ -102,13 +104,13 @@ impl<'a, E> From<&'a [E; WIDTH]> for Eight<'a, E> {
 }
 
 impl<E: Entry> Eight<'_, E> {
-    /// The slot of one of them.
+    /// The slot of one neighbour.
     #[inline(always)]
     pub fn slot(&self, lane: usize) -> usize {
         self.base + self.entries[lane].distance()
     }
 
-    /// How many are somebody; nobody comes last.
+    /// Number of neighbours that are not the sentinel, which comes last.
     #[inline(always)]
     pub(crate) fn count(&self, nobody: usize) -> usize {
         (0..WIDTH).filter(|&lane| self.slot(lane) != nobody).count()
@@ -125,7 +127,8 @@ impl<E: Entry> Eight<'_, E> {
     }
 }
 
-/// Most particles that every chunk can count in two bytes, with the slot of nobody behind them.
+/// Number of particles, maximum, that 16-bit entries of every chunk can tell apart, together with
+/// the sentinel.
 pub const FEW: usize = u16::MAX as usize;
 
 impl Chunk {
@@ -145,20 +148,21 @@ impl Chunk {
         WIDTH * lists + 4 * self.start.capacity() + self.seam.capacity()
     }
 
-    /// Whether neighbours are kept in two bytes, as [`u16`], and not as [`u32`].
+    /// Whether neighbours are stored as [`u16`], and not as [`u32`].
     #[inline(always)]
     pub fn is_short(&self) -> bool {
         self.whole.is_empty()
     }
 
-    /// The neighbours of the chunk's `k`-th slot, eight at a time, filled up to whole eights with nobody, or
-    /// with somebody who is out of anyone's reach; `E` is how the chunk keeps them.
+    /// The neighbours of the chunk's `k`-th slot, eight at a time. Lists are padded to whole eights
+    /// with the sentinel or with a particle out of reach; `E` is the type in which the chunk stores
+    /// them.
     #[inline(always)]
     pub fn neighbours<E: Entry>(&self, k: usize) -> impl ExactSizeIterator<Item = Eight<'_, E>> {
         E::of(self)[self.range(k)].iter().map(|entries| Eight { base: self.base, entries })
     }
 
-    /// The box around the chunk's `k`-th slot.
+    /// The box, as pairs of the chunk's `k`-th slot need it.
     #[inline(always)]
     pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
         Surroundings { space, seam: self.seam[k] }
@@ -169,19 +173,19 @@ impl Chunk {
         self.short.len() + self.whole.len()
     }
 
-    /// Makes masks for [`Self::batches`] eights.
+    /// Resizes `masks` to [`Self::batches`] zeros.
     pub fn make_masks(&self, masks: &mut Vec<u8>) {
         masks.clear();
         masks.reserve_exact(self.most_masks());
         masks.resize(self.batches(), 0);
     }
 
-    /// Most masks that there have been, or room for more.
+    /// Capacity of the lists, in eights.
     pub fn most_masks(&self) -> usize {
         self.short.capacity().max(self.whole.capacity())
     }
 
-    /// Where the `k`-th slot's eights are among [`Self::batches`].
+    /// The range of the `k`-th slot's eights among [`Self::batches`].
     #[inline(always)]
     pub fn range(&self, k: usize) -> std::ops::Range<usize> {
         self.start[k] as usize..self.start[k + 1] as usize
@@ -203,8 +207,8 @@ impl Chunk {
         (WIDTH * batches.start..WIDTH * batches.end).map(|place| self.slot(place))
     }
 
-    /// Asks for the lines of the neighbours of the chunk's `k`-th slot, if it has one, where all lines do
-    /// not fit the cache.
+    /// Prefetches the lines of the neighbours of the chunk's `k`-th slot, if there is one, where
+    /// the lines do not fit the cache.
     #[inline(always)]
     pub fn fetch_ahead<W: Wide, E: Entry>(&self, k: usize, lines: &[W::Line]) {
         if k < self.len() {
@@ -212,22 +216,22 @@ impl Chunk {
         }
     }
 
-    /// The slot that the neighbours of slots from `first` on are counted from, in a flow of so many
-    /// `particles`: as much before the chunk as behind it.
+    /// The slot from which the neighbours of slots from `first` on are counted, in a flow of
+    /// `particles` particles. The chunk lies in the middle of the 16-bit range.
     #[inline(always)]
     pub fn base_of(first: usize, particles: usize) -> usize {
         let middle = (first + CHUNK / 2).saturating_sub(FEW.div_ceil(2));
         middle.min(particles.saturating_sub(FEW))
     }
 
-    /// Becomes a copy of lists of a flow of so many `particles`. A first copy has just the room it needs; one
-    /// that must grow takes a sixteenth more, so that it seldom does.
+    /// Becomes a copy of lists of a flow of `particles` particles. The first copy reserves exactly
+    /// what it needs; a later one that must grow reserves a sixteenth more, so that it seldom does.
     #[inline(always)]
     pub fn copy_from(&mut self, draft: &Draft, particles: usize) {
         self.copy_slots(draft);
         let base = Self::base_of(draft.first, particles);
         let eights = draft.eights();
-        // Slots before the base become the largest.
+        // Slots before the base wrap to the largest numbers.
         let from_base = eights.as_flattened().iter().map(|slot| slot.wrapping_sub(base as u32));
         if particles > FEW && from_base.fold(0, u32::max) as usize > FEW {
             self.base = 0;
@@ -247,7 +251,7 @@ impl Chunk {
         renew(&mut self.short, eights.iter().map(short));
     }
 
-    /// As [`Self::copy_from`], of lists that are counted from [`Self::base_of`] already.
+    /// As [`Self::copy_from`], for lists that are already counted from [`Self::base_of`].
     #[inline(always)]
     pub fn copy_short(&mut self, lists: &Lists<u16>, particles: usize) {
         self.copy_slots(lists);
@@ -256,7 +260,7 @@ impl Chunk {
         copy(&mut self.short, lists.eights());
     }
 
-    /// Copies everything but the neighbours.
+    /// Copies everything except the neighbours.
     #[inline(always)]
     fn copy_slots<E>(&mut self, lists: &Lists<E>) {
         self.first = lists.first;
@@ -264,13 +268,13 @@ impl Chunk {
         renew(&mut self.start, lists.starts().map(|start| start / WIDTH as u32));
     }
 
-    /// Of each slot, whether some neighbour may be across the seam of the box.
+    /// For each slot, whether some neighbour may be across the periodic boundary.
     pub(crate) fn seam(&self) -> &[bool] {
         &self.seam
     }
 }
 
-/// Asks for the lines of some particles, where all lines do not fit the cache.
+/// Prefetches the lines of some particles, where the lines do not fit the cache.
 #[inline(always)]
 pub(crate) fn fetch<'a, W: Wide, E: Entry>(
     eights: impl Iterator<Item = Eight<'a, E>>,
@@ -279,7 +283,8 @@ pub(crate) fn fetch<'a, W: Wide, E: Entry>(
     if size_of_val(lines) <= FITS_CACHE {
         return;
     }
-    // Two loops: one over flattened arrays is not unrolled, and costs more than it saves.
+    // Two loops: the compiler does not unroll one over flattened arrays, which costs more than it
+    // saves.
     for others in eights {
         for line in pick(lines, others) {
             W::fetch(line);
@@ -293,7 +298,7 @@ fn copy<T: Copy>(into: &mut Vec<T>, from: &[T]) {
     renew(into, from.iter().copied());
 }
 
-/// Replaces the content of a vector, with a sixteenth of room where it must grow.
+/// Replaces the content of a vector. Reserves a sixteenth more where it must grow.
 #[inline(always)]
 fn renew<T>(into: &mut Vec<T>, from: impl ExactSizeIterator<Item = T>) {
     into.clear();
@@ -308,7 +313,7 @@ fn renew<T>(into: &mut Vec<T>, from: impl ExactSizeIterator<Item = T>) {
 mod tests {
     use super::*;
 
-    /// Lists of two slots from `first` on, the second without the first's first neighbour.
+    /// Lists of two slots from `first` on; the second lacks the first neighbour of the first.
     fn draft(first: usize, slots: &[u32], filler: usize) -> Draft {
         let mut draft = Draft::default();
         draft.clear();

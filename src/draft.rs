@@ -1,24 +1,24 @@
-//! Lists of neighbours as they are written, one slot after another.
+//! Neighbour lists while they are written, one slot after another.
 
 use crate::chunk::{CHUNK, Entry};
 use crate::scalar::{WIDTH, Wide};
 
-/// The neighbours of some consecutive slots, as they are written.
+/// The neighbour lists of consecutive slots, while they are written.
 #[derive(Clone, Debug, Default)]
 pub struct Lists<E> {
-    /// First of the slots.
+    /// The first slot.
     pub first: usize,
-    /// Where each slot's neighbours start in `index`; one more at the end.
+    /// Index of each slot's first neighbour in `index`, and the total at the end.
     start: Vec<u32>,
-    /// Neighbours, filled up to whole eights.
+    /// Neighbours, padded to whole eights.
     index: Vec<E>,
-    /// How much of `index` is filled.
+    /// Number of elements of `index` in use.
     filled: usize,
-    /// Of each slot, whether some neighbour may be across the seam of the box.
+    /// For each slot, whether some neighbour may be across the periodic boundary.
     seam: Vec<bool>,
 }
 
-/// Neighbours by their slots, as they are written.
+/// Neighbour lists of 32-bit slots.
 pub type Draft = Lists<u32>;
 
 impl<E> Lists<E> {
@@ -38,13 +38,13 @@ impl<E> Lists<E> {
         self.index[self.start[k] as usize..self.start[k + 1] as usize].as_chunks().0
     }
 
-    /// Where each slot's neighbours start; one more at the end.
+    /// Index of each slot's first neighbour, and the total at the end.
     #[inline(always)]
     pub(crate) fn starts(&self) -> impl ExactSizeIterator<Item = u32> {
         self.start.iter().copied()
     }
 
-    /// Of each slot, whether some neighbour may be across the seam of the box.
+    /// For each slot, whether some neighbour may be across the periodic boundary.
     #[inline(always)]
     pub(crate) fn seam(&self) -> &[bool] {
         &self.seam
@@ -56,13 +56,13 @@ impl<E> Lists<E> {
         self.index[..self.filled].as_chunks().0
     }
 
-    /// Forgets all lists; the next are those of slots from `first` on.
+    /// Removes all lists; the next list is that of slot `first`.
     pub fn begin(&mut self, first: usize) {
         self.clear();
         self.first = first;
     }
 
-    /// Forgets all lists.
+    /// Removes all lists.
     pub fn clear(&mut self) {
         self.start.clear();
         self.start.push(0);
@@ -70,27 +70,27 @@ impl<E> Lists<E> {
         self.filled = 0;
     }
 
-    /// Adds the neighbours that were written to the front of what [`Self::open`] returned.
+    /// Adds this many neighbours, already written to the front of what [`Self::open`] returned.
     #[inline(always)]
     pub fn fill(&mut self, neighbours: usize) {
         self.filled += neighbours;
     }
 
-    /// How many neighbours all lists together have room for.
+    /// Capacity of all lists together, in neighbours.
     pub fn room(&self) -> usize {
         self.index.len()
     }
 }
 
 impl<E: Entry> Lists<E> {
-    /// Begins the list of a slot, of at most so many candidates: where it goes.
+    /// Begins the list of a slot of at most `candidates` neighbours, and returns where to write it.
     #[inline(always)]
     pub fn open(&mut self, candidates: usize) -> &mut [E] {
         self.make_room(self.filled + candidates + 4 * WIDTH);
         &mut self.index[self.filled..]
     }
 
-    /// Makes room for so many neighbours in all lists, and for the lists of [`CHUNK`] slots.
+    /// Makes room for `neighbours` neighbours in all lists, and for the lists of [`CHUNK`] slots.
     #[inline(always)]
     pub fn make_room(&mut self, neighbours: usize) {
         if self.index.len() < neighbours {
@@ -100,12 +100,13 @@ impl<E: Entry> Lists<E> {
         }
     }
 
-    /// Ends the list of a slot, with nobody, who is so far from the base, up to whole eights; `seam` says
-    /// whether a neighbour may be across the seam of the box, while the list is used.
+    /// Ends the list of a slot, and pads it to whole eights with `nobody`, the sentinel's distance
+    /// from the base. `seam` says whether a neighbour may be across the periodic boundary while the
+    /// list is used.
     #[inline(always)]
     pub fn close(&mut self, nobody: usize, seam: bool) {
         self.seam.push(seam);
-        // A whole register at once: there is room behind the last.
+        // One write of a whole register: there is room for it after the last neighbour.
         if let Some(rest) = self.index[self.filled..].first_chunk_mut::<WIDTH>() {
             *rest = [E::at(nobody); WIDTH];
         }
@@ -115,13 +116,13 @@ impl<E: Entry> Lists<E> {
 }
 
 impl Draft {
-    /// Ends all lists.
+    /// Ends all lists, and drops the unused elements.
     pub fn finish(&mut self) {
         self.index.truncate(self.filled);
     }
 
-    /// Appends the slots from `first` on that are in a mask of sixteen; within what [`Self::open`] has
-    /// made room for.
+    /// Appends the slots from `first` on that are set in a mask of sixteen; [`Self::open`]
+    /// must have made room for them.
     #[inline(always)]
     pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
         if let Some(kept) = self.index[self.filled..].first_chunk_mut() {

@@ -1,37 +1,36 @@
 //! The one error type of the crate.
 //!
-//! Callers act on three questions only (was the input bad, did the flow fail, did the disk fail), so
-//! there is one enum with one variant each, and one for a run that was
-//! asked to stop; every message says what was expected, what was found and
-//! what to do, and [`Error::exit_code`] is what a command returns to the shell.
+//! Callers need to tell apart bad input, a flow that failed, a file that failed and a run that was
+//! asked to stop. Each is a variant of one enum. Every message says what was expected, what was
+//! found and what to do, and [`Error::exit_code`] is what a command returns to the shell.
 
 use std::path::{Path, PathBuf};
 
-/// Why something could not be done.
+/// The reason why something could not be done.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A scene, array, recording or argument is not what it must be.
+    /// A scene, array, recording or argument that is not valid.
     #[error("{place}: expected {expected}, found {found}; {remedy}")]
     Input {
-        /// File, line and key, as exactly as known.
+        /// File, line and key, as exactly as they are known.
         place: String,
-        /// What would have been right.
+        /// What was expected.
         expected: String,
-        /// What is there.
+        /// What was found.
         found: String,
         /// What to do about it.
         remedy: String,
     },
-    /// The flow left the range in which its numbers mean anything.
+    /// The flow left the range in which its numbers are meaningful.
     #[error("the run diverged at step {step} (t = {time:.6}): {quantity} {found}; {remedy}")]
     Diverged {
-        /// Which step.
+        /// The step.
         step: u64,
         /// Simulation time.
         time: f64,
-        /// The quantity, and whose.
+        /// The quantity and, where it belongs to one, the particle.
         quantity: String,
-        /// Its value, and the bound it broke.
+        /// Its value, and the limit it exceeded.
         found: String,
         /// What to do about it.
         remedy: String,
@@ -39,11 +38,11 @@ pub enum Error {
     /// The operating system refused a file.
     #[error("cannot {action} {}: {source}; {remedy}", path.display())]
     File {
-        /// What was tried: "read", "create", "write".
+        /// What was attempted: "read", "create", "write".
         action: &'static str,
-        /// On which file.
+        /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The message of the operating system.
         source: std::io::Error,
         /// What to do about it.
         remedy: &'static str,
@@ -53,7 +52,7 @@ pub enum Error {
     Interrupted {
         /// The signal's number.
         signal: u8,
-        /// What was kept, and how to go on.
+        /// What was kept, and how to continue.
         kept: String,
     },
 }
@@ -62,7 +61,7 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// An [`Error::Input`] from anything that prints.
+    /// An [`Error::Input`] from anything that can be displayed.
     pub fn input(
         place: impl ToString,
         expected: impl ToString,
@@ -77,7 +76,7 @@ impl Error {
         }
     }
 
-    /// An [`Error::File`] met while reading an input.
+    /// An [`Error::File`] while reading an input.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
         Self::File {
             action: "read",
@@ -87,7 +86,7 @@ impl Error {
         }
     }
 
-    /// An [`Error::File`] met while writing a result.
+    /// An [`Error::File`] while writing a result.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::File {
             action: "write",
@@ -97,7 +96,7 @@ impl Error {
         }
     }
 
-    /// The step at which a flow diverged; none of any other error.
+    /// The step at which a flow diverged; none for any other error.
     pub fn diverged_at(&self) -> Option<u64> {
         match self {
             Self::Diverged { step, .. } => Some(*step),
@@ -105,7 +104,7 @@ impl Error {
         }
     }
 
-    /// The same failure once more, for a caller that asks again.
+    /// A copy of the error, for a caller that asks again.
     pub(crate) fn again(&self) -> Self {
         match self {
             Self::Input { place, expected, found, remedy } => {
@@ -130,8 +129,8 @@ impl Error {
         }
     }
 
-    /// What a command returns to the shell: 2 for bad input (a missing input file included), 1 for a
-    /// run that failed, 128 and the signal's number for one that was interrupted.
+    /// The exit code of a command: 2 for bad input (also a missing input file), 1 for a run that
+    /// failed, 128 plus the signal's number for one that was interrupted.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } => 2,

@@ -1,14 +1,14 @@
-//! Files that are given in place of others, known by how they begin.
+//! Recognises files of the wrong kind by their first bytes.
 
 use crate::error::{Error, Result};
 use std::path::Path;
 
-/// What a file is, by its first bytes.
+/// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// An array of `numpy.save`.
+    /// An array written by `numpy.save`.
     Npy,
-    /// An archive of `numpy.savez`, or any other zip.
+    /// An archive written by `numpy.savez`, or any other zip file.
     Zip,
     /// A recording.
     Mcap,
@@ -29,7 +29,7 @@ pub(crate) fn kind(bytes: &[u8]) -> Option<Kind> {
 }
 
 impl Kind {
-    /// What it is, in words.
+    /// The kind in words.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Npy => "a .npy array",
@@ -39,7 +39,7 @@ impl Kind {
         }
     }
 
-    /// What to do where a recording is wanted.
+    /// The remedy where a recording is expected.
     pub(crate) fn instead_of_a_recording(self) -> &'static str {
         match self {
             Self::Npy | Self::Zip => {
@@ -49,7 +49,7 @@ impl Kind {
         }
     }
 
-    /// What to do where a scene is wanted.
+    /// The remedy where a scene is expected.
     pub(crate) fn instead_of_a_scene(self) -> &'static str {
         match self {
             Self::Mcap => {
@@ -65,7 +65,7 @@ impl Kind {
         }
     }
 
-    /// What to do where an array is wanted.
+    /// The remedy where an array is expected.
     pub(crate) fn instead_of_an_array(self) -> &'static str {
         match self {
             Self::Zip => {
@@ -78,7 +78,7 @@ impl Kind {
     }
 }
 
-/// Refuses what cannot be read twice: a pipe, a device, a folder.
+/// Refuses what cannot be read twice: a pipe, a device or a folder.
 pub(crate) fn must_be_a_file(path: &Path) -> Result<()> {
     let found = std::fs::metadata(path).map_err(|error| Error::read(path, error))?;
     if found.is_file() {

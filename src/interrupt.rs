@@ -1,8 +1,9 @@
-//! Ctrl-C and its like: asked to stop, a run ends in order, with what it has so far recorded.
+//! Ctrl-C and other signals: a run that is asked to stop ends in order and keeps what it has
+//! recorded.
 //!
-//! A command calls [`listen`]; from then on the first signal is kept and the second ends the process at once.
-//! Every step of every flow begins with [`check`], so whatever runs flows ends within one step. Without
-//! [`listen`] signals do what they do to any program.
+//! After a command has called [`listen`], the first signal is stored and the second ends the
+//! process at once. Every step of every flow begins with [`check`], so that any run ends within one
+//! step. Without [`listen`], signals have their default effect.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -11,21 +12,21 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::{Error, Result};
 
-/// The signal that was received; zero before any.
+/// The signal received; zero before the first.
 static RECEIVED: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
 
-/// Signals that end a run in order. A hang-up is left to the system, so that `nohup` keeps its meaning.
+/// Signals that end a run in order. SIGHUP keeps its default effect, so that `nohup` works.
 const SIGNALS: [i32; 2] = [SIGINT, SIGTERM];
 
-/// From now on a signal to end is kept for [`check`]; a second one ends the process.
+/// Stores the first signal for [`check`]; a second one ends the process.
 ///
 /// # Errors
-/// Where the system does not allow it.
+/// Where the operating system does not allow it.
 pub fn listen() -> std::io::Result<()> {
     let received = Arc::clone(RECEIVED.get_or_init(Arc::default));
     for signal in SIGNALS {
         let before = Arc::new(AtomicBool::new(false));
-        // In this order: the first signal must not meet its own mark.
+        // The order matters: handlers run in it, and the first signal must not find its own mark.
         signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, before.clone())?;
         signal_hook::flag::register(signal, before)?;
         signal_hook::flag::register_usize(
@@ -43,7 +44,7 @@ pub fn received() -> Option<u8> {
     u8::try_from(signal).ok().filter(|signal| *signal > 0)
 }
 
-/// Whether to go on.
+/// Fails once a signal has asked to stop.
 ///
 /// # Errors
 /// [`Error::Interrupted`] once a signal has asked to stop.
@@ -54,7 +55,7 @@ pub fn check() -> Result<()> {
     }
 }
 
-/// A result of a run, where it was interrupted with what was kept.
+/// Replaces, in the error of an interrupted run, the text of what was kept.
 pub fn keep<T>(result: Result<T>, kept: impl FnOnce() -> String) -> Result<T> {
     result.map_err(|error| match error {
         Error::Interrupted { signal, .. } => Error::Interrupted { signal, kept: kept() },

@@ -1,24 +1,24 @@
-//! Who is near: of the neighbours in the lists those within the support, eight at a time.
+//! The listed neighbours within the support, eight at a time.
 
 use crate::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
 use crate::pairs::Surroundings;
 use crate::scalar::{Pass, WIDTH, Wide, dispatch};
 use crate::space::PeriodicBox;
 
-/// The neighbours within `2h` of [`CHUNK`] consecutive slots: what every loop over pairs but that of the
-/// density runs over.
+/// The neighbours within `2h` of [`CHUNK`] consecutive slots. All loops over pairs run over these,
+/// except that of the density.
 ///
-/// The lists of a [`Chunk`] reach a skin farther. Who of them is near is known from the density: a mask for
-/// each eight says whose weight is not zero.
+/// The lists of a [`Chunk`] reach a skin farther. The density summation knows which neighbours are
+/// within the support: it writes a mask of nonzero weights for each eight.
 #[derive(Clone, Debug, Default)]
 pub struct Near {
     /// First slot.
     pub first: usize,
-    /// Where each slot's eights start; one more at the end.
+    /// Index of each slot's first eight, and the total at the end.
     start: Vec<u32>,
-    /// Slots of neighbours; what lies behind the last is anything.
+    /// Slots of neighbours; elements past the last list are unused.
     slots: Vec<[u32; WIDTH]>,
-    /// Of each slot, whether some neighbour may be across the seam of the box.
+    /// For each slot, whether some neighbour may be across the periodic boundary.
     seam: Vec<bool>,
 }
 
@@ -43,25 +43,26 @@ impl Near {
         self.start.last().map_or(0, |&end| end as usize)
     }
 
-    /// Where the `k`-th slot's eights are among [`Self::batches`].
+    /// The range of the `k`-th slot's eights among [`Self::batches`].
     #[inline(always)]
     pub fn range(&self, k: usize) -> std::ops::Range<usize> {
         self.start[k] as usize..self.start[k + 1] as usize
     }
 
-    /// Who is near the `k`-th slot, eight at a time, filled up to whole eights with nobody.
+    /// The neighbours of the `k`-th slot, eight at a time, padded to whole eights with the
+    /// sentinel.
     #[inline(always)]
     pub fn neighbours(&self, k: usize) -> impl ExactSizeIterator<Item = Eight<'_, u32>> {
         self.slots[self.range(k)].iter().map(Eight::from)
     }
 
-    /// The box around the `k`-th slot.
+    /// The box, as pairs of the `k`-th slot need it.
     #[inline(always)]
     pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
         Surroundings { space, seam: self.seam[k] }
     }
 
-    /// The slot at a place among all, `WIDTH` times [`Self::batches`] of them.
+    /// The slot at one of the `WIDTH` times [`Self::batches`] places.
     #[inline(always)]
     pub fn slot(&self, place: usize) -> usize {
         self.slots[place / WIDTH][place % WIDTH] as usize
@@ -72,8 +73,8 @@ impl Near {
         self.slots[..self.batches()].as_flattened().iter().map(|&slot| slot as usize)
     }
 
-    /// Asks for the lines of those who are near the `k`-th slot, if there is one, where all lines do not fit
-    /// the cache.
+    /// Prefetches the lines of the neighbours of the `k`-th slot, if there is one, where the lines
+    /// do not fit the cache.
     #[inline(always)]
     pub fn fetch_ahead<W: Wide>(&self, k: usize, lines: &[W::Line]) {
         if k < self.len() {
@@ -81,9 +82,9 @@ impl Near {
         }
     }
 
-    /// Makes room for so many eights.
+    /// Makes room for this many eights.
     pub fn make_room(&mut self, eights: usize) {
-        // A whole register is written behind the last.
+        // Each write is a whole register and may reach past the last neighbour.
         if self.slots.len() <= eights {
             self.slots.resize(eights + 1, [0; WIDTH]);
         }
@@ -91,8 +92,8 @@ impl Near {
         self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
     }
 
-    /// Becomes the lists of a chunk as far as they are in the masks of their eights; `nobody` is the slot behind
-    /// the last particle's.
+    /// Copies the neighbours of a chunk's lists that are in the masks; `nobody` is the index of the
+    /// sentinel, one past the last particle.
     pub fn find(&mut self, lists: &Chunk, masks: &[u8], nobody: usize) {
         self.make_room(lists.batches());
         self.first = lists.first;
@@ -104,7 +105,7 @@ impl Near {
     }
 }
 
-/// Copies the lists of a chunk as far as they are in masks.
+/// Copies the neighbours of a chunk's lists that are in masks.
 struct Sift<'a> {
     lists: &'a Chunk,
     masks: &'a [u8],
@@ -166,7 +167,7 @@ mod tests {
             assert_eq!(chunk.is_short(), first > 0);
             let masks = [0b1, 0b1010_0110, 0b1111_0001, 0, 0b1_0110];
             let mut near = Near::default();
-            // What an earlier chunk left behind.
+            // Content of an earlier chunk, to be overwritten.
             near.find(&chunk, &[0xff; 5], 7);
             near.find(&chunk, &masks, million as usize);
             assert_eq!((near.len(), near.first), (4, first as usize));

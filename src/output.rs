@@ -1,8 +1,9 @@
-//! [`Output`]: a file that is written beside its final name, which it gets when it is complete.
+//! [`Output`]: a file that gets its final name only when it is complete.
 //!
-//! `flow.mcap` is written as `flow.unfinished.mcap` in the same folder and renamed at the end. A name therefore stands
-//! for a whole result: what had the name before stays until the new one is complete, and what a killed run left is
-//! under the unfinished name. The file is locked while it is written, so that a second run into it is refused.
+//! `flow.mcap` is written as `flow.unfinished.mcap` in the same folder and renamed at the end. A
+//! final name therefore always stands for a complete result: an earlier file keeps the name until
+//! the new one is complete, and a killed run leaves only an unfinished name. The file is locked
+//! while it is written, so that a second run cannot write it.
 
 use std::fs::{File, Metadata, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -11,23 +12,24 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::{Error, Result};
 
-/// A file that is being written. Clones are the same file; dropped before anything was written, it vanishes.
+/// A file while it is written. Clones refer to the same file. A file dropped before anything was
+/// written is removed.
 #[derive(Clone, Debug)]
 pub struct Output(Arc<Place>);
 
 #[derive(Debug)]
 struct Place {
-    /// The name as it was asked for.
+    /// The final name, as it was given.
     path: PathBuf,
-    /// The file that gets the name: `path`, or where a link of that name points.
+    /// The file that gets the final name: `path`, or the target of a link at `path`.
     target: PathBuf,
-    /// Where it is written until it is complete; devices and pipes are written as they are.
+    /// The name until the file is complete; devices and pipes are written directly.
     unfinished: PathBuf,
     file: File,
     complete: AtomicBool,
 }
 
-/// What becomes of what an earlier run left under the unfinished name.
+/// What to do with the unfinished file of an earlier run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Leftover {
     Replace,
@@ -35,7 +37,7 @@ enum Leftover {
 }
 
 impl Output {
-    /// Begins a file, and the folders it lies in, in the place of what an earlier run left unfinished.
+    /// Begins a file, and creates its folders. An unfinished file of an earlier run is overwritten.
     ///
     /// # Errors
     /// [`Error::Input`] if another run writes it, [`Error::File`] if it cannot be written.
@@ -43,8 +45,8 @@ impl Output {
         Self::open(path, Leftover::Replace)
     }
 
-    /// As [`create`](Self::create), but what an earlier run left unfinished is kept: the new file takes the next
-    /// free name, such as `flow.unfinished-2.mcap`.
+    /// As [`create`](Self::create), but an unfinished file of an earlier run is kept: the new file
+    /// takes the next free name, such as `flow.unfinished-2.mcap`.
     ///
     /// # Errors
     /// As [`create`](Self::create).
@@ -68,17 +70,17 @@ impl Output {
         Ok(Self(Arc::new(Place { path: path.to_owned(), target, unfinished, file, complete })))
     }
 
-    /// The final name, as it was asked for.
+    /// The final name, as it was given.
     pub fn path(&self) -> &Path {
         &self.0.path
     }
 
-    /// Where the file is until it is complete.
+    /// The current name of the file.
     pub fn unfinished(&self) -> &Path {
         &self.0.unfinished
     }
 
-    /// What to write to.
+    /// A handle to write to.
     ///
     /// # Errors
     /// [`Error::File`] if the system has no more file handles.
@@ -86,7 +88,7 @@ impl Output {
         self.0.file.try_clone().map_err(|error| Error::write(&self.0.unfinished, error))
     }
 
-    /// Gives the file its name, in the place of what had it.
+    /// Gives the file its final name, and replaces an earlier file of that name.
     ///
     /// # Errors
     /// [`Error::File`] if it cannot be renamed.
@@ -98,14 +100,14 @@ impl Output {
         std::fs::rename(unfinished, target).map_err(|error| Error::write(path, error))
     }
 
-    /// Takes the unfinished file away: what is in it can be had again.
+    /// Removes the unfinished file, because its content can be computed again.
     pub fn discard(&self) {
         if !self.0.complete.swap(true, Ordering::Relaxed) {
             drop(std::fs::remove_file(&self.0.unfinished));
         }
     }
 
-    /// Writes a whole file in one piece: a reader never meets half of it.
+    /// Writes a whole file. A reader never sees a part of it.
     ///
     /// # Errors
     /// As [`create`](Self::create) and [`complete`](Self::complete).
@@ -122,13 +124,13 @@ impl Drop for Place {
     fn drop(&mut self) {
         let is_empty = || self.file.metadata().is_ok_and(|file| file.len() == 0);
         if !self.complete.load(Ordering::Relaxed) && is_empty() {
-            // An empty file in the way of nothing: the next run takes it.
+            // An empty file is harmless if it cannot be removed: the next run uses it.
             drop(std::fs::remove_file(&self.unfinished));
         }
     }
 }
 
-/// A name for the unfinished file, and the file, locked.
+/// A name for the unfinished file, and the locked file.
 fn free_place(path: &Path, target: &Path, leftover: Leftover) -> Result<(PathBuf, File)> {
     let mut number = 1;
     loop {
@@ -140,7 +142,7 @@ fn free_place(path: &Path, target: &Path, leftover: Leftover) -> Result<(PathBuf
         lock(&file, path, &unfinished)?;
         let found = file.metadata().map_err(failed)?;
         if !still_there(&found, &unfinished) {
-            // Its writer completed it just now.
+            // Another run has completed and renamed it just now.
             continue;
         }
         if found.len() > 0 && leftover == Leftover::Keep {
@@ -160,12 +162,12 @@ fn lock(file: &File, path: &Path, unfinished: &Path) -> Result<()> {
             format!("one that writes it now, as {}", unfinished.display()),
             "wait for its end, or give this run another name to write to",
         )),
-        // Not every file system has locks; without them runs are kept apart by their names alone.
+        // Not every file system has locks; without them, runs are kept apart only by the names.
         Err(TryLockError::Error(_)) | Ok(()) => Ok(()),
     }
 }
 
-/// The file that a name stands for: itself or, of a link, where it points.
+/// The file that a name refers to: itself, or the target of a link.
 fn target_of(path: &Path) -> PathBuf {
     let linked = path.is_symlink().then(|| std::fs::canonicalize(path).ok());
     linked.flatten().unwrap_or_else(|| path.to_owned())
@@ -185,14 +187,15 @@ fn unfinished_name(target: &Path, number: usize) -> PathBuf {
     target.with_file_name(name)
 }
 
-/// What an earlier run left unfinished of a file, newest last.
+/// The unfinished files of earlier runs, newest last.
 pub fn leftovers(path: &Path) -> Vec<PathBuf> {
     let target = target_of(path);
     let names = (1..).map(|number| unfinished_name(&target, number));
     names.take_while(|name| name.is_file()).collect()
 }
 
-/// The file to read for a name: the file itself or, where there is none, the newest that is unfinished.
+/// The file to read for a name: the file itself or, where it does not exist, the newest unfinished
+/// one.
 pub fn readable(path: &Path) -> PathBuf {
     match path.exists() {
         true => path.to_owned(),
@@ -200,7 +203,7 @@ pub fn readable(path: &Path) -> PathBuf {
     }
 }
 
-/// Whether two names stand for one file, through links of either kind.
+/// Whether two names refer to one file, through symbolic or hard links.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
         (Ok(a), Ok(b)) => a == b || std::fs::metadata(a).is_ok_and(|a| still_there(&a, &b)),
@@ -208,7 +211,7 @@ pub fn same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Whether a name stands for a file that was met before.
+/// Whether a name refers to a file seen before.
 #[cfg(unix)]
 fn still_there(file: &Metadata, name: &Path) -> bool {
     use std::os::unix::fs::MetadataExt as _;
@@ -216,7 +219,7 @@ fn still_there(file: &Metadata, name: &Path) -> bool {
     named.is_ok_and(|named| (named.dev(), named.ino()) == (file.dev(), file.ino()))
 }
 
-/// Whether a name stands for a file that was met before, as far as the system tells.
+/// Whether a name refers to a file seen before, as far as the operating system can tell.
 #[cfg(not(unix))]
 fn still_there(_: &Metadata, name: &Path) -> bool {
     name.exists()

@@ -1,44 +1,45 @@
-//! The packed form in which particles meet their pairs.
+//! Particles packed for the loops over pairs.
 
 use crate::scalar::{Lanes, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
-/// A particle as its pairs see it: one cache line.
+/// The inputs of a pair loop for one particle: one cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Packed {
     /// Position, `z = 0` in 2D.
     pub position: [f64; 3],
-    /// The velocity that the force sees.
+    /// The velocity at which the force is evaluated.
     pub velocity: [f64; 3],
     /// Density `ρ`.
     pub density: f64,
-    /// What the model says it brings to its pairs, `P/ρ²`.
+    /// The model's function of density, `A = P/ρ²`.
     pub stress: f64,
 }
 
 impl Packed {
-    /// Fills a neighbour list up to a whole number of lanes: so far away that every kernel is
-    /// exactly zero there, near enough that no fourth power overflows.
+    /// The sentinel that pads neighbour lists to a whole number of lanes. It is so far away that
+    /// every kernel is exactly zero there, and near enough that no fourth power overflows.
     pub const NOBODY: Self =
         Self { position: [1e50; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
 }
 
-/// A particle as its pairs see it in single precision: half a cache line.
+/// The inputs of a pair loop for one particle in single precision: half a cache line.
 ///
-/// Coordinates are fixed-point numbers, in steps of `L·2⁻³²` (1.5e-9 in a box of 2π): a difference of two
-/// of them wraps around as the box does, so that it is that of the nearest images, exactly.
+/// Coordinates are fixed-point numbers, in steps of `L·2⁻³²` (1.5e-9 in a box of 2π). A difference
+/// of two coordinates wraps around as the box does, so that it is exactly the difference of the
+/// nearest images.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub struct PackedSingle {
     /// Position, in steps.
     pub position: [i32; 3],
-    /// Density `ρ`; negative in nobody.
+    /// Density `ρ`; negative in the sentinel.
     pub density: f32,
-    /// The velocity that the force sees.
+    /// The velocity at which the force is evaluated.
     pub velocity: [f32; 3],
-    /// What the model says it brings to its pairs.
+    /// The model's function of density, `A = P/ρ²`.
     pub stress: f32,
 }
 
@@ -46,27 +47,30 @@ impl PackedSingle {
     /// Fixed-point steps along a side of the box.
     pub const STEPS: f64 = 4_294_967_296.0;
 
-    /// As [`Packed::NOBODY`]: in a closed box no place is far away, so a negative density says it.
+    /// The sentinel, as [`Packed::NOBODY`]. No fixed-point position is far away, so that a negative
+    /// density marks it.
     pub const NOBODY: Self =
         Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], stress: 0.0 };
 
-    /// A coordinate in steps: modulo 2³², as the box is modulo `L`.
+    /// A coordinate in fixed-point steps: modulo 2³², as the box is modulo `L`.
     #[inline(always)]
     pub fn fixed_point(x: f64, space: PeriodicBox) -> i32 {
-        // In the sum a whole number fills the low bits: rounded to the nearest even one by the addition.
+        // Added to this number, `x` is rounded to the nearest whole number, ties to even, in the
+        // low bits of the sum.
         const SHIFT: f64 = 6_755_399_441_055_744.0;
         (x * (Self::STEPS / space.length) + SHIFT).to_bits() as i32
     }
 
-    /// Squares of distances, in steps and as singles, below which somebody is surely within `reach`, and
-    /// from which on surely not: singles know such a square to 4e-7, fixed point a distance to `1e-9 L`.
+    /// Squared distances, in steps: below the first a pair is certainly within `reach`, from the
+    /// second on certainly not. The relative error of such a square is 4e-7 in `f32`, the
+    /// quantisation error of a distance `1e-9 L`.
     pub fn limits(reach: f64, space: PeriodicBox) -> [f32; 2] {
         let steps = reach * (Self::STEPS / space.length);
         let doubt = 1e-6 + 1e-8 * space.length / reach;
         [(steps * steps * (1.0 - doubt)) as f32, (steps * steps * (1.0 + doubt)) as f32]
     }
 
-    /// A particle rounded.
+    /// Rounds a particle.
     #[inline(always)]
     pub fn new(particle: &Packed, space: PeriodicBox) -> Self {
         let mut single = Self {
@@ -82,12 +86,12 @@ impl PackedSingle {
     }
 }
 
-/// A particle's sensitivities as its pairs see them: one column of eight parameters per number.
+/// The sensitivities of a particle for a pair loop: eight parameters per number.
 #[derive(Clone, Copy, Debug)]
 pub struct PackedSensitivity<const D: usize> {
     /// `δr`.
     pub position: Vector<Lanes, D>,
-    /// `δv` of the velocity that the force sees.
+    /// `δv` of the velocity at which the force is evaluated.
     pub velocity: Vector<Lanes, D>,
     /// `δρ`.
     pub density: Lanes,
@@ -104,7 +108,7 @@ impl<const D: usize> PackedSensitivity<D> {
         stress: Lanes::ZERO,
     };
 
-    /// Asks for all of them.
+    /// Prefetches all columns.
     #[inline(always)]
     pub fn fetch<W: Wide>(&self) {
         W::fetch_columns(&self.position.0);
@@ -114,7 +118,7 @@ impl<const D: usize> PackedSensitivity<D> {
     }
 }
 
-/// What the adjoint of a force evaluation gathers from a neighbour.
+/// What the adjoint of a force evaluation reads of a neighbour.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub struct PackedAdjoint {

@@ -1,4 +1,4 @@
-//! Eight neighbours at once: how every pair loop reads them.
+//! How pair loops read one particle and eight neighbours at a time.
 
 pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Eight, Entry};
 pub use crate::draft::{Draft, Lists};
@@ -8,7 +8,7 @@ use crate::scalar::{Precision, Scalar, WIDTH, Wide};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
-/// The box around a particle.
+/// The box, as the pairs of one particle need it.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings {
     /// The box.
@@ -17,37 +17,37 @@ pub struct Surroundings {
     pub seam: bool,
 }
 
-/// All particles in cell order, as their pairs see them, nobody behind the last.
+/// All particles in cell order, with the sentinel at the end.
 #[derive(Clone, Copy, Debug)]
 pub struct Lines<'a> {
-    /// In doubles.
+    /// In `f64`.
     pub double: &'a [Packed],
-    /// In singles; empty in double precision.
+    /// In `f32`; empty in double precision.
     pub single: &'a [PackedSingle],
-    /// Which of the two pairs read.
+    /// Which of the two pair loops read.
     pub precision: Precision,
 }
 
 impl Lines<'_> {
-    /// The slot of nobody, behind the last particle's.
+    /// The index of the sentinel, one past the last particle.
     #[inline(always)]
     pub fn nobody(&self) -> usize {
         self.double.len() - 1
     }
 }
 
-/// One chunk of particles with all that they touch: what a pair loop runs over.
+/// One chunk of particles with its neighbours: what a pair loop runs over.
 #[derive(Clone, Copy, Debug)]
 pub struct Hood<'a> {
     /// All particles.
     pub lines: Lines<'a>,
-    /// The chunk, and who is near.
+    /// The chunk, and its neighbours within the support.
     pub near: &'a Near,
     /// The box.
     pub space: PeriodicBox,
 }
 
-/// What the law between two particles may depend on, for directed pair `i ← j`.
+/// The scalars that the law between two particles may depend on, for the directed pair `i ← j`.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<T> {
     /// `|rᵢⱼ|²`.
@@ -68,10 +68,10 @@ impl<T: Scalar> Pair<T> {
     }
 }
 
-/// Below this a direction is none: its numerator is smaller still.
+/// Distance below which a direction is zero: its numerator is smaller still.
 const SMALLEST_DISTANCE: f64 = 1e-150;
 
-/// What is read of one particle and eight neighbours.
+/// The data read for one particle and eight neighbours.
 #[derive(Clone, Copy, Debug)]
 pub struct Reading<W, const D: usize> {
     /// `rᵢⱼ`, minimum image.
@@ -95,7 +95,7 @@ pub struct Batch<W, const D: usize> {
     pub separation: Vector<W, D>,
     /// `vᵢⱼ`.
     pub velocity: Vector<W, D>,
-    /// What a central pair law sees.
+    /// The scalars of a central pair law.
     pub pair: Pair<W>,
     /// `Aᵢ`.
     pub stress_i: W,
@@ -103,7 +103,7 @@ pub struct Batch<W, const D: usize> {
     pub stress_j: W,
 }
 
-/// Eight of many.
+/// References to eight of many particles.
 #[inline(always)]
 pub fn pick<'a, P>(all: &'a [P], others: Eight<'_, impl Entry>) -> [&'a P; WIDTH] {
     // Written out: the closure of an array's `map` is not inlined into vectorised functions.
@@ -134,7 +134,7 @@ pub fn separation<W: Wide, const D: usize>(
 }
 
 impl<W: Wide, const D: usize> Batch<W, D> {
-    /// `rᵢⱼ/r`, zero where the particles meet.
+    /// `rᵢⱼ/r`; zero where the particles coincide.
     #[inline(always)]
     pub fn direction(&self) -> Vector<W, D> {
         self.separation * (W::of(1.0) / self.pair.r2.sqrt().max(W::smallest(SMALLEST_DISTANCE)))

@@ -1,7 +1,7 @@
 //! Parameters: what a flow can learn, as one flat vector with names.
 //!
-//! Every term of a flow names its own parameters ([`crate::systems::term::Term::parameters`]); a parameter that two terms name is
-//! one parameter. The weights of networks come last in the vector.
+//! Every term of a flow names its own parameters ([`crate::systems::term::Term::parameters`]). A
+//! parameter that two terms name is one parameter. The weights of networks come last in the vector.
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -24,15 +24,15 @@ impl Parameter {
     pub const GAMMA: Self = Self::named("gamma");
     /// Power `θ` of the deterministic forcing.
     pub const THETA: Self = Self::named("theta");
-    /// The five that Woodward et al. (2021) learn.
+    /// The five parameters that Woodward et al. (2021) learn.
     pub const PHYSICAL: [Self; 5] = [Self::C, Self::ALPHA, Self::BETA, Self::GAMMA, Self::THETA];
 
-    /// A name known when the program is compiled.
+    /// A name known at compile time.
     pub const fn named(name: &'static str) -> Self {
         Self(Cow::Borrowed(name))
     }
 
-    /// A weight or a bias of a model's network, by its place there: `w0`, `w1`, …
+    /// A weight or a bias of a model's network, by its index there: `w0`, `w1`, …
     pub fn weight(place: usize) -> Self {
         Self(format!("w{place}").into())
     }
@@ -81,7 +81,7 @@ pub enum Domain {
 }
 
 impl Domain {
-    /// Whether a value lies in it.
+    /// Whether a value lies in the domain.
     pub fn contains(self, value: f64) -> bool {
         value.is_finite()
             && match self {
@@ -92,8 +92,8 @@ impl Domain {
             }
     }
 
-    /// The nearest value in it to `there` on the way from `here`, which lies in it; an open end is approached by
-    /// halves.
+    /// The value in the domain nearest to `there`, on the way from `here`, which lies in it. An
+    /// open end is approached by halving `here`.
     pub fn clamp(self, here: f64, there: f64) -> f64 {
         match self {
             Self::Real => there,
@@ -115,18 +115,19 @@ impl Domain {
     }
 }
 
-/// The coordinate of a search, in which the force is nearly linear in the parameter.
+/// The coordinate in which a search moves a parameter. The force is nearly linear in it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Coordinate {
     /// The parameter itself.
     Itself,
     /// Its square, for a positive parameter.
     Square,
-    /// Its product with a power of another one, where that is searched by its [`Coordinate::Square`].
+    /// Its product with a power of another parameter, where that one is searched by its
+    /// [`Coordinate::Square`].
     Times(Parameter, i32),
 }
 
-/// A parameter with its value and all that a search must know of it.
+/// A parameter: its name, its value, and how to search it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParameterSpec {
     /// Its name.
@@ -148,13 +149,13 @@ impl ParameterSpec {
         Self { name: name.into(), value, domain, coordinate, is_weight: false }
     }
 
-    /// Within a domain.
+    /// With this domain.
     #[must_use]
     pub fn within(self, domain: Domain) -> Self {
         Self { domain, ..self }
     }
 
-    /// Searched by another coordinate.
+    /// With this coordinate.
     #[must_use]
     pub fn searched_by(self, coordinate: Coordinate) -> Self {
         Self { coordinate, ..self }
@@ -177,8 +178,8 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Those that some owners name: scalars in the order in which they are met first, then weights. Beside them
-    /// the place of each owner's own, in its order.
+    /// Merges the parameters of several owners: scalars in the order in which they first occur,
+    /// then weights. Also returns the places of each owner's parameters, in the owner's order.
     ///
     /// # Errors
     /// [`Error::Input`] where two owners give one parameter different values.
@@ -205,17 +206,17 @@ impl Parameters {
         Ok((all, places))
     }
 
-    /// How many there are.
+    /// Number of parameters.
     pub fn len(&self) -> usize {
         self.specs.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.specs.is_empty()
     }
 
-    /// How many are no weights: these come first.
+    /// Number of scalars, that is, of parameters that are not weights; these come first.
     pub fn scalars(&self) -> usize {
         self.specs.partition_point(|spec| !spec.is_weight)
     }
@@ -255,7 +256,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// The error of a name that none has.
+    /// The error for an unknown name.
     pub(crate) fn unknown(&self, name: &Parameter) -> Error {
         let mut names: Vec<&str> = Vec::new();
         names.extend(self.specs.iter().filter(|s| !s.is_weight).map(|spec| spec.name.name()));

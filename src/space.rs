@@ -1,4 +1,4 @@
-//! The periodic box `[0, L)ᵈ`: the only place that knows that space closes on itself.
+//! The periodic box `[0, L)ᵈ`: the only place that implements periodicity.
 
 use crate::scalar::Scalar;
 use crate::vector::Vector;
@@ -13,8 +13,8 @@ pub struct PeriodicBox {
 impl PeriodicBox {
     /// The shortest of all periodic images of a difference of two positions in the box.
     ///
-    /// Exact for components in `(−L, L)`; branch-free, so lanes and dual numbers pass through it
-    /// (its derivative is the identity).
+    /// Exact for components in `(−L, L)`. It is branch-free, so that it works on lanes and dual
+    /// numbers (its derivative is the identity).
     #[inline(always)]
     pub fn minimum_image<T: Scalar, const D: usize>(
         &self,
@@ -37,7 +37,7 @@ impl PeriodicBox {
                 return x;
             }
             let inside = x - self.length * (x / self.length).floor();
-            // A tiny negative x rounds up to L itself, which is the same place as 0; NaN stays NaN.
+            // A tiny negative `x` rounds up to `L`, which is the same place as 0; NaN stays NaN.
             if inside >= self.length { 0.0 } else { inside }
         })
     }

@@ -4,20 +4,21 @@ use crate::scalar::{Lanes, Scalar, WIDTH};
 
 /// Tait's pressure `P = (c² ρ₀/γ) [(ρ/ρ₀)^γ − 1]`, Eq. (20), with `ρ₀ = 1`.
 ///
-/// Weakly compressible: the sound speed at `ρ₀` is `c`, and pressure may become negative below `ρ₀`.
+/// Weakly compressible: the sound speed at `ρ₀` is `c`, and the pressure becomes negative below
+/// `ρ₀`.
 #[inline(always)]
 pub fn tait<T: Scalar>(rho: T, c: T, gamma: T) -> T {
     c * c / gamma * (rho.powf(gamma) - 1.0)
 }
 
-/// What a pressure `P` gives to the force on a pair, `P/ρ²`.
+/// The function of pressure in the force on a pair, `P/ρ²`.
 #[inline(always)]
 pub fn stress<T: Scalar>(pressure: T, rho: T) -> T {
     pressure / (rho * rho)
 }
 
-/// `A = P/ρ²` of Tait's fluid at a background pressure `p₀` for eight particles; where `γ` is a whole number its
-/// power is a product.
+/// `A = P/ρ²` of Tait's fluid with background pressure `p₀`, for eight particles. Where `γ` is a
+/// whole number, powers are computed as products.
 pub fn tait_stress(rho: Lanes, c: f64, gamma: f64, p0: f64) -> Lanes {
     let power = match whole(gamma) {
         Some(gamma) => power(rho, gamma),
@@ -28,8 +29,9 @@ pub fn tait_stress(rho: Lanes, c: f64, gamma: f64, p0: f64) -> Lanes {
     pressure / (rho * rho)
 }
 
-/// The gradient of `A = P/ρ²` of Tait's fluid by `(ρ, c, γ)`, from `ln ρ` and `ρ^γ`, by hand: what
-/// [`crate::scalar::Dual`] numbers give (a test), without a power of its own.
+/// The gradient of `A = P/ρ²` of Tait's fluid by `(ρ, c, γ)`, from `ln ρ` and `ρ^γ`. It is written
+/// by hand and evaluates no power of its own; a test compares it with [`crate::scalar::Dual`]
+/// numbers.
 #[inline(always)]
 pub fn tait_stress_gradient<T: Scalar>(
     (rho, logarithm, power): (T, T, T),
@@ -59,7 +61,8 @@ pub fn internal_energy(rho: f64, c: f64, gamma: f64) -> f64 {
     c * c / gamma * (logarithm + 1.0 / rho - 1.0)
 }
 
-/// `Σ e(ρ)` over particles; where `γ` is a whole number the powers are products, eight at once.
+/// `Σ e(ρ)` over particles. Where `γ` is a whole number, powers are computed as products, eight
+/// particles at once.
 pub(crate) fn internal_energies(mut rho: impl Iterator<Item = f64>, c: f64, gamma: f64) -> f64 {
     let Some(exponent) = whole(gamma - 1.0).filter(|&exponent| exponent > 0) else {
         return rho.map(|rho| internal_energy(rho, c, gamma)).sum();
@@ -69,7 +72,7 @@ pub(crate) fn internal_energies(mut rho: impl Iterator<Item = f64>, c: f64, gamm
         |rho: Lanes| (power(rho, exponent) - 1.0) / compression + (Lanes::of(1.0) / rho - 1.0);
     let mut sum = Lanes::ZERO;
     while let Some(first) = rho.next() {
-        // Lanes that nobody fills are at `ρ₀`, where the energy is zero.
+        // Unused lanes are at `ρ₀`, where the energy is zero.
         let mut lanes = [1.0; WIDTH];
         lanes[0] = first;
         lanes[1..].iter_mut().zip(&mut rho).for_each(|(lane, rho)| *lane = rho);
@@ -78,10 +81,10 @@ pub(crate) fn internal_energies(mut rho: impl Iterator<Item = f64>, c: f64, gamm
     c * c / gamma * sum.sum()
 }
 
-/// The largest power that is taken by products.
+/// Exponent, maximum, up to which a power is computed as a product.
 const MOST_PRODUCTS: f64 = 64.0;
 
-/// A power as a whole number, if it is one that is taken by products.
+/// The exponent as a whole number, if the power is computed as a product.
 fn whole(power: f64) -> Option<u32> {
     let whole = power.clamp(0.0, MOST_PRODUCTS) as u32;
     (f64::from(whole).to_bits() == power.to_bits()).then_some(whole)
@@ -126,7 +129,7 @@ mod tests {
             for rho in [0.0, 0.3, 0.95, 1.0, 1.0 + 1e-9, 1.3, 40.0] {
                 let expected = stress(tait(rho, 3.0, gamma), rho);
                 let found = tait_stress(Lanes::of(rho), 3.0, gamma, 0.0).to_array()[5];
-                // The power is known to a rounding for each of its products.
+                // The relative error of the power is one rounding for each of its products.
                 let bound = 2.0 * gamma * f64::EPSILON * (expected.abs() + 9.0 / (rho * rho));
                 let same = found.to_bits() == expected.to_bits();
                 assert!(same || (found - expected).abs() <= bound, "{gamma} {rho} {found:e}");

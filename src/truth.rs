@@ -1,4 +1,4 @@
-//! Where the truth comes from: a flow run on the spot.
+//! Truths: the observed flows that a model learns from.
 
 use crate::cells::Cells;
 use crate::error::{Error, Result};
@@ -16,17 +16,18 @@ use std::sync::Arc;
 /// A true flow: states a scene's [`Scene::observed_every`] steps apart, with densities.
 #[derive(Clone, Debug, Default)]
 pub struct Truth<const D: usize> {
-    /// States; the prediction starts from the first.
+    /// States; a prediction starts from the first.
     pub states: Vec<State<D>>,
     /// Densities of each state, particle `k` in row `k`.
     pub densities: Vec<Vec<f64>>,
-    /// Whether they come from a recording, whose times are what they are, and not from a flow run on the spot.
+    /// Whether the states come from a recording, which fixes their times, and not from a flow that
+    /// was run for this purpose.
     pub is_recorded: bool,
 }
 
 impl<const D: usize> Truth<D> {
-    /// Runs the scene's own law for `after` steps, then keeps `frames + 1` states, as many steps apart as
-    /// the scene observes.
+    /// Runs the scene's own law for `after` steps, then records `frames + 1` states at the scene's
+    /// observation interval.
     ///
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
@@ -36,13 +37,14 @@ impl<const D: usize> Truth<D> {
         for _ in 0..after {
             flow.step()?;
         }
-        // The force that kick-drift-kick carries is no data: the observed flow starts without it.
+        // The force that kick-drift-kick carries is not observed: the observed flow starts without
+        // it.
         let from = flow.state();
         flow.reset(&from);
         Self::kept(flow, (frames, scene.observed_every()))
     }
 
-    /// Runs the scene's own law from a state, and keeps `frames + 1` states.
+    /// Runs the scene's own law from a state, and records `frames + 1` states.
     ///
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
@@ -67,19 +69,20 @@ impl<const D: usize> Truth<D> {
         all.fold((f64::INFINITY, 0.0), |(low, high), &rho| (rho.min(low), rho.max(high)))
     }
 
-    /// Keeps the state that a flow is in.
+    /// Records the current state of a flow.
     pub fn keep(&mut self, flow: &mut Flow<D>) {
         self.states.push(flow.state());
         self.densities.push(flow.densities());
     }
 
-    /// `δu = u(τ) − u(0)` of every particle, `τ` being `frame` frames behind the first state.
+    /// `δu = u(τ) − u(0)` of every particle, where `τ` is `frame` frames after the first state.
     pub fn increments(&self, frame: usize) -> Vec<Vector<f64, D>> {
         let pairs = self.states[frame].velocities.iter().zip(&self.states[0].velocities);
         pairs.map(|(&v, &start)| v - start).collect()
     }
 
-    /// Refuses numbers that are none, with the frame and the particle, counted from the first state.
+    /// Refuses numbers that are not finite, and names the frame, counted from the first state, and
+    /// the particle.
     fn must_be_finite(&self) -> Result<()> {
         for (frame, (state, densities)) in self.states.iter().zip(&self.densities).enumerate() {
             let quantities = [
@@ -100,7 +103,7 @@ impl<const D: usize> Truth<D> {
         Ok(())
     }
 
-    /// Refuses states of different numbers of particles.
+    /// Refuses states with different numbers of particles.
     fn must_be_whole(&self) -> Result<()> {
         let count = self.states.first().map_or(0, |state| state.positions.len());
         for (k, (state, densities)) in self.states.iter().zip(&self.densities).enumerate() {
@@ -120,12 +123,12 @@ impl<const D: usize> Truth<D> {
         Ok(())
     }
 
-    /// What a prediction from the first state is compared with: the states behind it, their
-    /// fields where the scene asks for a field loss, and the densities of their increments where it
-    /// asks for a statistical one.
+    /// The observations for a prediction from the first state: the later states, their fields if
+    /// the scene has a field loss, and the densities of their increments if it has a statistical
+    /// one.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] where a number is not finite: with its frame and particle.
+    /// [`crate::Error::Input`] where a number is not finite; it names the frame and the particle.
     pub fn observations(&self, scene: &Scene, learn: &Learn) -> Result<Observations<D>> {
         self.must_be_whole()?;
         self.must_be_finite()?;
@@ -164,10 +167,10 @@ impl<const D: usize> Truth<D> {
     }
 }
 
-/// The statistical loss of one realisation of a truth against another: the mean over all ordered pairs
-/// of [`sampling_floor`], summed over components and over the frames that count, and weighted as in the
-/// loss. A perfect model with other random numbers scores this; a loss below it says no more about the
-/// distribution.
+/// The statistical loss of one realisation of a truth against another: the mean of
+/// [`sampling_floor`] over all ordered pairs, summed over components and the frames that count, and
+/// weighted as in the loss. A perfect model with other random numbers has this loss; a smaller loss
+/// says nothing more about the distribution.
 ///
 /// # Errors
 /// [`crate::Error::Input`] for fewer than two realisations or a velocity that is not finite.
@@ -193,7 +196,7 @@ pub fn statistical_floor<const D: usize>(
     Ok(learn.statistical_weight(learn.every as f64 * scene.dt()) * sum)
 }
 
-/// Densities `ρᵢ = Σⱼ m W(rᵢⱼ, h)` of particles anywhere, each of mass `m = Lᵈ/N`, in a kernel.
+/// Densities `ρᵢ = Σⱼ m W(rᵢⱼ, h)` of particles at any positions, each of mass `m = Lᵈ/N`.
 pub fn summed_densities<const D: usize>(
     (kernel, h): (KernelChoice, f64),
     space: PeriodicBox,

@@ -38,7 +38,7 @@ impl<T: Scalar, const D: usize> Vector<T, D> {
         self.dot(self)
     }
 
-    /// Every component through `f`.
+    /// Applies `f` to every component.
     #[inline(always)]
     pub fn map<U>(self, f: impl Fn(T) -> U) -> Vector<U, D> {
         Vector(self.0.map(f))
@@ -51,7 +51,7 @@ impl<const D: usize> Vector<f64, D> {
         self.norm_squared().sqrt()
     }
 
-    /// The same vector in three dimensions, `z = 0` where there is none.
+    /// The same vector in three dimensions, with `z = 0` in 2D.
     pub fn to_3d(self) -> [f64; 3] {
         std::array::from_fn(|axis| if axis < D { self.0[axis] } else { 0.0 })
     }

@@ -3,7 +3,7 @@
 use crate::pairs::Pair;
 use crate::scalar::Scalar;
 
-/// `ε` of Eq. (21): `0.01 h²` keeps `μ` finite where two particles meet.
+/// Regularisation `ε` of Eq. (21), in units of `h²`: keeps `μ` finite where two particles coincide.
 const EPSILON: f64 = 0.01;
 
 /// The coefficients of the viscosity: `α` (bulk and shear), `β` (shocks) and the sound speed `c`.
@@ -17,11 +17,12 @@ pub struct Viscosity<T> {
     pub beta: T,
 }
 
-/// `Πᵢⱼ = (−α c μ + β μ²)/ρ̄`, Eq. (21), while the pair approaches, zero while it recedes;
-/// `μ = h vᵢⱼ·rᵢⱼ/(r² + 0.01 h²)`, `ρ̄ = (ρᵢ + ρⱼ)/2`.
+/// `Πᵢⱼ = (−α c μ + β μ²)/ρ̄`, Eq. (21), while the pair approaches, and zero while it recedes; `μ =
+/// h vᵢⱼ·rᵢⱼ/(r² + 0.01 h²)`, `ρ̄ = (ρᵢ + ρⱼ)/2`.
 ///
-/// Acts along `rᵢⱼ`, so both momenta are conserved, and only takes energy out
-/// (`tests/conservation.rs`). Continuous but not smooth where `vᵢⱼ·rᵢⱼ = 0`: gradients are one-sided.
+/// The force acts along `rᵢⱼ`, so that it conserves linear and angular momentum, and it only
+/// dissipates energy (`tests/conservation.rs`). It is continuous but not smooth at `vᵢⱼ·rᵢⱼ = 0`,
+/// where gradients are one-sided.
 #[inline(always)]
 pub fn monaghan<T: Scalar>(pair: &Pair<T>, h: f64, by: &Viscosity<T>) -> T {
     // With μ = a/s multiplied out: one division instead of two.
@@ -30,8 +31,8 @@ pub fn monaghan<T: Scalar>(pair: &Pair<T>, h: f64, by: &Viscosity<T>) -> T {
     (by.beta * a - by.alpha * by.c * s) * a / (s * s * pair.mean_density())
 }
 
-/// The gradient of [`monaghan`] by hand: what [`crate::scalar::Dual`] numbers give (a test), at a
-/// third of their cost.
+/// The gradient of [`monaghan`] written by hand, at a third of the cost of [`crate::scalar::Dual`]
+/// numbers; a test compares the two.
 #[derive(Clone, Copy, Debug)]
 pub struct ViscosityGradient<T> {
     /// `Π`.
@@ -44,13 +45,13 @@ pub struct ViscosityGradient<T> {
     pub by_density: T,
     /// `∂Π/∂(c, α, β)`.
     pub by: Viscosity<T>,
-    /// `μ/ρ̄`, of which these are multiples.
+    /// `μ/ρ̄`, a factor of these derivatives.
     pub linear: T,
     /// `μ`.
     pub mu: T,
 }
 
-/// `Π` of Eq. (21) and its derivatives by everything it depends on.
+/// `Π` of Eq. (21) and its derivatives by all its arguments.
 #[inline(always)]
 pub fn monaghan_gradient<T: Scalar>(
     pair: &Pair<T>,

@@ -1,15 +1,16 @@
-//! Plane waves of a periodic box: fields that are sums of few Fourier modes, exact at any position.
+//! Plane waves in a periodic box: fields that are sums of a few Fourier modes, exact at any
+//! position.
 //!
-//! `u(x) = Σ a cos(k n·x) + b sin(k n·x)` with integer wave vectors `n` and `k = 2π/L`. A wave with `a ⟂ n`
-//! and `b ⟂ n` has no divergence. The sum costs six to eight nanoseconds per wave and position: the powers
-//! of `e^{ikx}` along each axis are multiplied up once per position, so that no wave takes a sine of
-//! its own.
+//! `u(x) = Σ a cos(k n·x) + b sin(k n·x)` with integer wave vectors `n` and `k = 2π/L`. A wave with
+//! `a ⟂ n` and `b ⟂ n` has zero divergence. The sum costs six to eight nanoseconds per wave and
+//! position: powers of `e^{ikx}` along each axis are multiplied up once per position, so that no
+//! wave needs a sine of its own.
 
 use crate::scalar::Lanes;
 use crate::vector::Vector;
 use rustfft::num_complex::Complex;
 
-/// The largest component of a wave vector.
+/// Component of a wave vector, maximum.
 pub const LONGEST: usize = 64;
 
 /// One wave, `a cos(k n·x) + b sin(k n·x)`.
@@ -31,8 +32,8 @@ pub struct Waves {
     pub(crate) list: Vec<Wave>,
 }
 
-/// Integer wave vectors with `0 < |n| <= longest`, one of each pair `±n`, shortest first: a longer list
-/// begins with a shorter one. No component is larger than [`LONGEST`].
+/// Integer wave vectors with `0 < |n| <= longest`, one of each pair `±n`, shortest first, so that a
+/// longer list begins with a shorter one. No component is larger than [`LONGEST`].
 pub fn wave_vectors(dimension: usize, longest: f64) -> Vec<[i32; 3]> {
     let reach = longest.clamp(0.0, LONGEST as f64) as i32;
     let depth = if dimension == 3 { reach } else { 0 };
@@ -103,7 +104,7 @@ impl Waves {
         sum
     }
 
-    /// `∂L/∂x = Σ k n (b cos − a sin)·∂L/∂u`: what a field passes back.
+    /// `∂L/∂x = Σ k n (b cos − a sin)·∂L/∂u`: the pullback of the field.
     pub fn pullback<const D: usize>(&self, x: [f64; 3], adjoint: Vector<f64, D>) -> Vector<f64, D> {
         let phases = self.phases(x);
         let mut sum = Vector::zero();
@@ -125,7 +126,7 @@ impl Waves {
         let mut powers = [[one; LONGEST + 1]; 3];
         for (powers, x) in powers.iter_mut().zip(x) {
             powers[1] = Complex::cis(self.k * x);
-            // By halves: round-off grows with the logarithm of the power.
+            // By halving: round-off grows with the logarithm of the exponent.
             for m in 2..=self.longest {
                 powers[m] = powers[m / 2] * powers[m - m / 2];
             }
@@ -193,7 +194,7 @@ mod tests {
                 }
             }
             let found = waves.at::<3>(x);
-            // A phase of up to 64·2π·√2 is known to 1e-13; waves add at random.
+            // A phase of up to 64·2π·√2 has an error of 1e-13; errors of waves add at random.
             let round_off = 1e-13 * (waves.list().len() as f64).sqrt();
             for (found, expected) in found.0.into_iter().zip(expected) {
                 assert!((found - expected).abs() < round_off, "{found} against {expected}");

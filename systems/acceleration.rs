@@ -29,7 +29,7 @@ pub struct PairTerm<const D: usize> {
 }
 
 impl<const D: usize> PairTerm<D> {
-    /// A law whose parameters have no places in the flat vector yet.
+    /// A law with parameters that have no places in the flat vector yet.
     pub fn new(name: impl Into<String>, model: Box<dyn Model<D>>) -> Self {
         Self { name: name.into(), model, places: Vec::new(), rooms: Rooms::default() }
     }
@@ -71,7 +71,7 @@ impl<const D: usize> PairTerm<D> {
 pub struct Laws<const D: usize> {
     /// The model.
     pub model: PairTerm<D>,
-    /// Laws whose forces are added to the model's.
+    /// Laws that add their forces to the model's.
     pub added: Vec<PairTerm<D>>,
 }
 
@@ -150,9 +150,9 @@ impl<const D: usize> Term<D> for PairForces {
     }
 }
 
-/// Number of chunks whose pairs are linearised at a time. A larger number loads each block's
-/// sensitivities less often, because fewer particles belong to two windows; a smaller one keeps the
-/// linearised pairs in the cache.
+/// Chunks per window of linearised pairs. A larger number loads each block's sensitivities less
+/// often, because fewer particles belong to two windows; a smaller one keeps the linearised pairs in
+/// the cache.
 pub(super) const WINDOW: usize = 4;
 
 /// System: the force of all pairs, law by law.
@@ -363,8 +363,8 @@ impl Senders {
         self.start.clear();
         self.start.resize(particles + 2, 0);
         for other in lists.iter().flat_map(Near::slots) {
-            // The sentinel, whose index is `particles`, is counted in the last element and dropped
-            // below.
+            // The sentinel has the index `particles`: it is counted in the last element, which is
+            // dropped below.
             self.start[other + 1] += 1;
         }
         for slot in 0..particles {

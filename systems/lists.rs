@@ -27,8 +27,8 @@ struct Crowd {
     slots: Vec<u32>,
     /// Number of candidates.
     count: usize,
-    /// Index of the first candidate whose list is written; the other particles of the cell follow
-    /// it.
+    /// Index of the candidate that is the first slot to write a list for; the other slots of the
+    /// cell follow it.
     own: usize,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A list holds every particle within `2h + skin`. It stays valid as long as no two particles have
 //! approached each other by the skin. The criterion is the relative displacement `|d_i − d_j|`, not
-//! the displacement itself: in a flow whose eddies are wider than the support it is several times
+//! the displacement itself: in a flow with eddies wider than the support it is several times
 //! smaller. Displacements are bounded by a box for each cell of the list, and each box is compared
 //! with those of the cells around it.
 

@@ -22,8 +22,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// particles by it.
 ///
 /// An entity without it is no particle of the fluid, whatever other components it has: no system
-/// moves it, and no force acts on it. A particle keeps its number. A flow whose number of particles
-/// has changed since its start is refused.
+/// moves it, and no force acts on it. A particle keeps its number. A flow is refused if its
+/// number of particles has changed since its start.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity(pub u32);
 
@@ -149,7 +149,7 @@ pub struct AdjointCloud<const D: usize> {
     pub scalars: Vec<(f64, f64)>,
     /// Neighbours within the support, chunk by chunk.
     pub near: Vec<Near>,
-    /// The step whose positions `near` belongs to, if it may be used.
+    /// The step of the positions in `near`, if it may be used.
     pub sifted: Option<u64>,
     /// Shares that the pullback writes for neighbours, chunk by chunk; empty where pair forces are
     /// opposite.

@@ -18,7 +18,7 @@ pub struct Evaluation {
     chunks: Arc<Vec<Chunk>>,
     /// Masks of the neighbours within the support; see [`Cloud::masks`].
     masks: Vec<Vec<u8>>,
-    /// Step whose positions these are.
+    /// The step of these positions.
     step: u64,
 }
 

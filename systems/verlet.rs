@@ -80,7 +80,7 @@ pub struct Integrator {
 pub struct Clock {
     /// Steps completed.
     pub step: u64,
-    /// Step whose positions the forces see: `step` before the drift, `step + 1` after it.
+    /// Step of the positions that forces use: `step` before the drift, `step + 1` after it.
     pub evaluated: u64,
     /// Time at step zero.
     pub start: f64,

@@ -1,4 +1,4 @@
-//! Limits: a run whose numbers have become meaningless stops, and names the quantity, the particle,
+//! Limits: a run stops when its numbers have become meaningless, and names the quantity, the particle,
 //! the time and the remedy.
 
 use super::acceleration::Laws;
