@@ -3,8 +3,8 @@
 use super::{Scalar, Tabulated, operators_with_f64};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// `value + Σₚ gradientₚ εₚ` with `εₚ εₛ = 0`: any law over [`Scalar`] evaluated at a dual number gives
-/// its value and its exact gradient, at a cost of about `1 + P` values.
+/// `value + Σₚ gradientₚ εₚ` with `εₚ εₛ = 0`. Any law over [`Scalar`], evaluated at a dual number,
+/// gives its value and its exact gradient, at the cost of about `1 + P` values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dual<T, const P: usize> {
     /// The value.

@@ -1,4 +1,4 @@
-//! Eight numbers that move together: the SIMD direction of every hot loop.
+//! Eight `f64` evaluated lane by lane: the portable SIMD type.
 
 use super::wide::{reading_of, separation_of};
 use super::{Scalar, Tabulated, Wide, operators_with_f64};
@@ -7,11 +7,11 @@ use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Numbers in one [`Lanes`]: one AVX-512 register of doubles, two of AVX2, four of NEON.
+/// Number of lanes of [`Lanes`]: one AVX-512 register of `f64`, two of AVX2, four of NEON.
 pub const WIDTH: usize = 8;
 
-/// [`WIDTH`] doubles, added, multiplied and selected lane by lane: the form in which memory holds
-/// them, the plain implementation of [`Wide`], and the oracle of the others.
+/// [`WIDTH`] numbers in `f64`, evaluated lane by lane: the layout in memory, the portable
+/// implementation of [`Wide`], and the oracle of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub struct Lanes([f64; WIDTH]);
@@ -20,7 +20,7 @@ impl Lanes {
     /// Zero in every lane.
     pub const ZERO: Self = Self([0.0; WIDTH]);
 
-    /// Eight given numbers.
+    /// From eight numbers.
     #[inline(always)]
     pub const fn new(lanes: [f64; WIDTH]) -> Self {
         Self(lanes)
@@ -78,8 +78,8 @@ impl Lanes {
     }
 }
 
-/// The same expression in every lane, written out: a loop per operation would be found out and
-/// unrolled by the compiler thousands of times, at half of its work.
+/// The same expression in every lane, written out. A loop per operation would have to be recognised
+/// and unrolled by the compiler thousands of times, which is half of its work.
 macro_rules! in_every_lane {
     (|$lane:ident| $value:expr) => {{
         macro_rules! at {
@@ -183,7 +183,7 @@ impl SubAssign for Lanes {
 
 operators_with_f64!([] Lanes);
 
-/// One number of each of eight particles.
+/// One number from each of eight particles.
 #[inline(always)]
 fn each<P>(others: [&P; WIDTH], field: impl Fn(&P) -> f64) -> Lanes {
     in_every_lane!(|L| field(others[L]))

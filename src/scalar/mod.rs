@@ -1,10 +1,10 @@
-//! The number: one formula, four uses.
+//! One number type for evaluation, derivatives, vectors of lanes and both precisions.
 //!
-//! Precision, differentiation and vectorisation are one axis, the type parameter `T: Scalar` of a law.
-//! `f64` runs it, [`Wide`] numbers run it on eight pairs at once, in the registers of whatever
-//! instruction set the machine has and in either [`Precision`], [`Dual`] differentiates it, and they
-//! nest. Laws are branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the
-//! same path. Literals stand on the right of an operator: `q * 0.75 + 1.0`.
+//! A law is written once over a type parameter `T: Scalar`. `f64` evaluates it; [`Wide`] numbers
+//! evaluate it on eight pairs at once, in the registers of the machine's instruction set and in
+//! either [`Precision`]; [`Dual`] numbers differentiate it; and these can be nested. Laws are
+//! branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the same path.
+//! Literals stand on the right of an operator: `q * 0.75 + 1.0`.
 
 mod dual;
 mod lanes;
@@ -27,7 +27,7 @@ pub use wide::{
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// What a law of motion may do with a number.
+/// The operations that a law may use.
 pub trait Scalar:
     Copy
     + Send
@@ -45,15 +45,15 @@ pub trait Scalar:
     + AddAssign
     + SubAssign
 {
-    /// Whether a kernel that is known at run time may be a table in these numbers. Loops over pairs in wide registers
-    /// have no room for a call, so that flows with tables run in narrow ones, see
-    /// [`dispatch_by_kernel`].
+    /// Whether a kernel chosen at run time may be a table in these numbers. Pair loops in wide
+    /// registers spill when they contain a call, so that flows with tabulated kernels run in narrow
+    /// registers; see [`dispatch_by_kernel`].
     const TABLES: bool = true;
 
     /// The number `x`, the same in every lane and with derivative zero.
     fn of(x: f64) -> Self;
-    /// A positive number so small that it stands for zero where zero would divide: `x`, or more where
-    /// the precision has nothing as small.
+    /// A positive number that replaces zero in a denominator: `x`, or the smallest number that the
+    /// precision allows.
     fn smallest(x: f64) -> Self {
         Self::of(x)
     }
@@ -69,8 +69,8 @@ pub trait Scalar:
     fn powf(self, y: Self) -> Self;
     /// `yes` where `a < b`, otherwise `no`; both are computed, and a NaN in `a` or `b` chooses `no`.
     fn select_less(a: Self, b: Self, yes: Self, no: Self) -> Self;
-    /// `N` successive derivatives of a tabulated function at `x`, first the one of the given order; the
-    /// function itself is the one of order zero.
+    /// `N` successive derivatives of a tabulated function at `x`, from the given order on; order
+    /// zero is the function itself.
     fn tabulated<F: Tabulated, const N: usize>(self, table: &F, order: usize) -> [Self; N];
 
     /// The smaller of two numbers.
@@ -121,7 +121,7 @@ impl Scalar for f64 {
     }
 }
 
-/// Operators of a type with plain numbers on the right, by way of [`Scalar::of`].
+/// Operators with an `f64` on the right, by way of [`Scalar::of`].
 macro_rules! operators_with_f64 {
     ([$($generics:tt)*] $number:ty) => {
         operators_with_f64!(@one [$($generics)*] $number, Add, add, +);
@@ -175,7 +175,7 @@ mod tests {
         assert_eq!(f64::select_less(f64::NAN, 0.0, 1.0, 2.0).to_bits(), 2.0_f64.to_bits());
     }
 
-    /// Sixty-four numbers as rows, from the same as columns.
+    /// Sixty-four numbers given as columns, to be transposed to rows.
     #[derive(Clone)]
     struct Rows([Lanes; WIDTH]);
 

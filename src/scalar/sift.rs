@@ -1,9 +1,9 @@
-//! Who of sixteen is near, and those alone in order: the plain forms of what [`Wide`](super::Wide) does while
-//! neighbours are searched.
+//! Portable forms of the operations of [`Wide`](super::Wide) in neighbour searches: which of
+//! sixteen places are near, and the compression of masked elements.
 
 use super::WIDTH;
 
-/// For every mask the lanes that are in it, in order.
+/// The set bits of each 8-bit mask, in ascending order.
 pub(super) const LANES_OF: [[u8; WIDTH]; 256] = {
     let mut table = [[0; WIDTH]; 256];
     let mut mask = 0;
@@ -21,7 +21,7 @@ pub(super) const LANES_OF: [[u8; WIDTH]; 256] = {
     table
 };
 
-/// Half of [`Wide::compress`], by table.
+/// Half of [`Wide::compress`], by a table.
 #[inline(always)]
 fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
@@ -51,25 +51,27 @@ pub(super) fn near_by_loop<C: AsRef<[i32]>, const D: usize>(
     masks
 }
 
-/// Surroundings of a cell, in which places take sixteen bits along each axis: fixed-point steps from the middle,
-/// divided by a power of two so that two cells are at most 2¹⁵ of what is left, a step.
+/// The neighbourhood of a cell, in which places are stored with 16 bits along each axis. A
+/// coordinate is counted from the middle, in steps of `2^shift` fixed-point steps. Two cell widths
+/// are at most 2¹⁵ steps.
 ///
-/// Where a box is less than four cells wide, it is 2¹⁶ steps wide itself, so that their differences wrap around as
+/// A box less than four cells wide is exactly 2¹⁶ steps wide, so that differences wrap around as
 /// the box does.
 #[derive(Clone, Copy, Debug)]
 pub struct Window<const D: usize> {
     /// The middle, in fixed-point steps.
     pub middle: [i32; D],
-    /// Steps are 2 to so many fixed-point steps.
+    /// Base-2 logarithm of a window step in fixed-point steps.
     pub shift: u32,
     /// Half the width of a box around the middle along each axis, in steps.
     pub half: [u16; D],
-    /// The square of a distance to that box, in steps, from which on somebody is too far.
+    /// Squared distance from that box, in steps, from which on a place is out of reach.
     pub limit: u32,
 }
 
 impl<const D: usize> Window<D> {
-    /// A place of fixed-point coordinates in two words: x below y, and z below zeros.
+    /// A place of fixed-point coordinates as two words: x in the low and y in the high half of the
+    /// first, z in the low half of the second.
     #[inline(always)]
     pub fn words(&self, place: [i32; D]) -> [u32; 2] {
         let mut halves = [0; 4];
@@ -80,7 +82,7 @@ impl<const D: usize> Window<D> {
     }
 }
 
-/// The low and the high half of a word, as numbers with a sign.
+/// The low and the high half of a word, as signed numbers.
 #[inline(always)]
 fn halves(word: u32) -> [i16; 2] {
     [word as u16 as i16, (word >> 16) as u16 as i16]
@@ -121,7 +123,7 @@ pub(super) fn gather_by_loop<C: AsRef<[i32]>, const D: usize>(
             ];
             square = square.wrapping_add(sum_of_squares(outside));
         }
-        // Never behind the end: as many were kept as came before.
+        // Never past the end: `next` is at most `place`.
         xy[next] = words[0];
         zt[next] = words[1] | u32::from(tag.wrapping_add(place as u16)) << 16;
         let near = square < window.limit && inside >> place & 1 == 1;
@@ -157,13 +159,13 @@ pub(super) fn within_by_loop(
 pub(super) fn keep_tags_by_loop(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
     let mut next = 0;
     for (place, &word) in words.iter().enumerate() {
-        // Never behind the end: as many were kept as came before.
+        // Never past the end: `next` is at most `place`.
         kept[next] = (word >> 16) as u16;
         next += usize::from(mask >> place & 1);
     }
 }
 
-/// [`Wide::keep_slots`] by table.
+/// [`Wide::keep_slots`] by a table.
 #[inline(always)]
 pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
@@ -171,7 +173,7 @@ pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u3
     }
 }
 
-/// [`Wide::compress`] by table.
+/// [`Wide::compress`] by a table.
 #[inline(always)]
 pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
     let [low, high] = mask.to_le_bytes();
@@ -188,7 +190,7 @@ mod tests {
     use super::Window;
     use crate::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
 
-    /// Everything that sifts sixteen places, over a few columns of them.
+    /// All operations on sixteen places, applied to a few columns of them.
     #[derive(Clone)]
     struct Sift<'a> {
         columns: &'a [Vec<i32>; 3],
@@ -216,7 +218,7 @@ mod tests {
                 let mask = W::gather(columns, &window, (first, inside), tag, [&mut xy, &mut zt]);
                 let count = mask.count_ones() as usize;
                 places.extend([xy, zt].iter().flat_map(|words| &words[..count]));
-                // Somebody else's words behind them.
+                // Arbitrary words in the unspecified elements.
                 for (place, word) in xy.iter_mut().chain(&mut zt).enumerate() {
                     if place % (2 * WIDTH) >= count {
                         *word = (place as u32 + 1).wrapping_mul(0x9e37_79b9);

@@ -1,4 +1,5 @@
-//! Eight single-precision numbers, plainly: the oracle of [`super::x86`]'s, and what NEON runs.
+//! Eight `f32` numbers, portable: the oracle of the types in [`super::x86`], and the implementation
+//! on NEON.
 
 use super::wide::{FAR, unit};
 use super::{Lanes, Scalar, Tabulated, WIDTH, Wide, operators_with_f64};
@@ -7,10 +8,11 @@ use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Far below every single that a pair law makes, and its inverse far from overflow.
+/// Smallest denominator in `f32`: far below every number that a pair law computes, and with an
+/// inverse far from overflow.
 pub(super) const SMALLEST_SINGLE: f64 = 1e-30;
 
-/// [`WIDTH`] singles, as [`Lanes`] are doubles.
+/// [`WIDTH`] numbers in `f32`, as [`Lanes`] are in `f64`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
 pub struct Singles(pub(super) [f32; WIDTH]);

@@ -1,16 +1,16 @@
-//! Functions that are known piece by piece, evaluated at any [`Scalar`](super::Scalar).
+//! Tabulated functions, evaluated at any [`Scalar`](super::Scalar).
 
 use super::{Lanes, WIDTH};
 
-/// A function of one argument that is looked up, with its derivatives: what
+/// A tabulated function of one argument with its derivatives, which
 /// [`Scalar::tabulated`](super::Scalar::tabulated) evaluates.
 pub trait Tabulated {
-    /// `N` successive derivatives at `x`, first the one of the given order; the function itself is the
-    /// one of order zero.
+    /// `N` successive derivatives at `x`, from the given order on; order zero is the function
+    /// itself.
     fn at<const N: usize>(&self, x: f64, order: usize) -> [f64; N];
 
-    /// The same at eight arguments. Never inlined: a loop over pairs that may meet a table at run time
-    /// is then no longer than one that may not.
+    /// The same at eight arguments. It is never inlined, so that the lookup adds no code to a pair
+    /// loop that may evaluate a table.
     #[cold]
     #[inline(never)]
     fn at_eight<const N: usize>(&self, x: &Lanes, order: usize) -> [Lanes; N] {

@@ -1,4 +1,4 @@
-//! One source for every instruction set and both precisions.
+//! Vectors of eight numbers: one source for every instruction set and both precisions.
 
 use super::sift::{
     Window, compress_in_two, gather_by_loop, keep_slots_by_table, keep_tags_by_loop, near_by_loop,
@@ -11,15 +11,16 @@ use crate::vector::Vector;
 use pulp::Arch;
 use serde::{Deserialize, Serialize};
 
-/// The numbers in which two particles meet. State, sums, networks and parameters are always doubles.
+/// The precision in which pairs are evaluated. State, sums, networks and parameters are always
+/// `f64`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Precision {
     /// `f64` (default).
     #[default]
     Double,
-    /// `f32` on differences of positions that are exact to `L·2⁻³²` and know the nearest image by
-    /// themselves; opposite forces stay opposite to the bit, and are summed as doubles, so that
+    /// `f32`, on differences of positions that are exact to `L·2⁻³²` and of the nearest images by
+    /// construction. Opposite forces are opposite to the bit, and are summed in `f64`, so that
     /// momentum is conserved as in double precision.
     Mixed,
 }
@@ -37,29 +38,29 @@ impl Precision {
     }
 }
 
-/// [`WIDTH`] numbers that move together, in registers of one instruction set: what a law is evaluated
-/// at. Memory holds them as [`Lanes`].
+/// [`WIDTH`] numbers in registers of one instruction set: the type in which a law is evaluated. In
+/// memory they are [`Lanes`].
 ///
-/// No operation is fused or reordered, so that every implementation in doubles gives the bits of
-/// [`Lanes`], the plain one (`tests/precision.rs`).
+/// No operation is fused or reordered, so that every implementation in `f64` gives the same bits as
+/// [`Lanes`], the portable one (`tests/precision.rs`).
 pub trait Wide: Scalar {
-    /// Doubles of the same instruction set.
+    /// `f64` numbers of the same instruction set.
     type Double: Wide<Double = Self::Double>;
-    /// A particle as pairs of this precision see it.
+    /// A packed particle in this precision.
     type Line: Copy + Send + Sync;
 
-    /// Eight doubles from memory, rounded where they must be.
+    /// Loads eight `f64`, rounded in single precision.
     fn load(memory: &Lanes) -> Self;
-    /// To memory.
+    /// Stores them to memory.
     fn store(self) -> Lanes;
-    /// As doubles.
+    /// Converts to `f64`.
     fn widen(self) -> Self::Double;
-    /// From doubles, rounded where they must be.
+    /// Converts from `f64`, rounded in single precision.
     fn narrow(wide: Self::Double) -> Self;
 
     /// The lines that this precision reads.
     fn lines<'a>(lines: Lines<'a>) -> &'a [Self::Line];
-    /// `rᵢⱼ` of one particle and eight others, the nearest image.
+    /// `rᵢⱼ` of one particle and eight others, of the nearest images.
     fn separation<const D: usize>(
         here: &Self::Line,
         others: [&Self::Line; WIDTH],
@@ -71,21 +72,22 @@ pub trait Wide: Scalar {
         others: [&Self::Line; WIDTH],
         space: Surroundings,
     ) -> Reading<Self, D>;
-    /// The eight numbers of eight lines in doubles, as eight columns.
+    /// The eight numbers of eight `f64` lines, as eight columns.
     fn fields(lines: [&Packed; WIDTH]) -> [Self::Double; 8];
     /// `∂L/∂F` and `∂L/∂ρ` of eight particles.
     fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Self::Double; 4];
 
     /// `|x|`.
     fn abs(self) -> Self;
-    /// With the sign of another.
+    /// With the sign of `sign`.
     fn copysign(self, sign: Self) -> Self;
-    /// `2ᵏ` of a whole number `k`, given as `k + 1.5·2⁵²`; of doubles only.
+    /// `2ᵏ` of a whole number `k`, given as `k + 1.5·2⁵²`; only for `f64`.
     fn power_of_two(shifted: Self) -> Self;
-    // Searches are passes in doubles whatever the precision of the pairs: singles keep the plain forms.
+    // Neighbour searches always run in `f64`: types in `f32` keep the portable forms of these
+    // functions.
 
-    /// Which of the sixteen places from number `first` on are nearer to `here` than two limits on the
-    /// square of the distance, in fixed-point steps: one bit each, the first lowest.
+    /// Which of the sixteen places starting at `first` are nearer to `here` than each of two limits
+    /// on the squared distance, in fixed-point steps: one bit per place, the first lowest.
     #[inline(always)]
     fn near<C: AsRef<[i32]>, const D: usize>(
         columns: &[C; D],
@@ -95,9 +97,10 @@ pub trait Wide: Scalar {
     ) -> [u16; 2] {
         near_by_loop(columns, here, first, limits)
     }
-    /// Writes those of sixteen places from number `first` on that are near the box of a window and `inside` a mask
-    /// to the front of `kept`, in order, and says who they are: two words each, those of [`Window::words`],
-    /// with `tag` and the number from `first` on above z. What comes behind them is anything.
+    /// Of the sixteen places starting at `first`, finds those that are near the box of a window and
+    /// in the mask `inside`. Writes them in order to the front of `kept` and returns their mask.
+    /// Each is written as the two words of [`Window::words`], with `tag` plus its number, counted
+    /// from `first`, in the high half of the second word. The other elements are unspecified.
     #[inline(always)]
     fn gather<C: AsRef<[i32]>, const D: usize>(
         columns: &[C; D],
@@ -108,13 +111,14 @@ pub trait Wide: Scalar {
     ) -> u16 {
         gather_by_loop(columns, window, (first, inside), tag, kept)
     }
-    /// Which of sixteen places in two words each are nearer to a place in two words than two limits on the square of the
-    /// distance, in steps of their window: one bit each, the first lowest.
+    /// Which of sixteen places, two words each, are nearer to the place `here` than each of two
+    /// limits on the squared distance, in steps of their window: one bit per place, the first
+    /// lowest.
     #[inline(always)]
     fn within(words: [&[u32; 2 * WIDTH]; 2], here: [u32; 2], limits: [u32; 2]) -> [u16; 2] {
         within_by_loop(words, here, limits)
     }
-    /// Which lanes are not zero, NaN among them: one bit each, the first lowest.
+    /// Which lanes are nonzero or NaN: one bit per lane, the first lowest.
     #[inline(always)]
     fn nonzero(self) -> u8 {
         let lanes = self.store().to_array();
@@ -124,30 +128,30 @@ pub trait Wide: Scalar {
         }
         mask
     }
-    /// Writes those of eight slots that are in a mask, in order, to the front of `kept`; what comes behind
-    /// them is anything. Of doubles only.
+    /// Writes the slots in a mask, in order, to the front of `kept`. The other elements are
+    /// unspecified. Only for `f64`.
     #[inline(always)]
     fn keep_slots(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
         keep_slots_by_table(mask, slots, kept);
     }
-    /// Writes the upper halves of those of sixteen words that are in a mask, in order, to the front of `kept`;
-    /// what comes behind them is anything.
+    /// Writes the high halves of the words in a mask, in order, to the front of `kept`. The other
+    /// elements are unspecified.
     #[inline(always)]
     fn keep_tags(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
         keep_tags_by_loop(mask, words, kept);
     }
-    /// Asks for a line that will be needed soon; a hint, which changes no result.
+    /// Prefetches a line that will be needed soon. It is a hint that changes no result.
     #[inline(always)]
     fn fetch(line: &Self::Line) {
         let _ = line;
     }
-    /// As [`Wide::fetch`], for columns of parameters. Of doubles only.
+    /// As [`Wide::fetch`], for columns of parameters. Only for `f64`.
     #[inline(always)]
     fn fetch_columns(columns: &[Lanes]) {
         let _ = columns;
     }
-    /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`; what comes behind
-    /// them is anything.
+    /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`. The other
+    /// elements are unspecified.
     #[inline(always)]
     fn compress(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
         compress_in_two(mask, first, kept);
@@ -160,36 +164,38 @@ pub trait Wide: Scalar {
     }
 }
 
-/// Work that is done in the widest registers of the machine.
+/// A computation that runs in the widest registers of the machine.
 pub trait Pass: Sized {
-    /// What comes of it.
+    /// Its result.
     type Output;
 
-    /// Does it; must be `#[inline(always)]`, and so must all that it calls in its loops.
+    /// Runs it. This must be `#[inline(always)]`, and so must everything that it calls in its
+    /// loops.
     fn run<W: Wide>(self) -> Self::Output;
 }
 
-/// Runs a pass in doubles, by the widest instructions that this machine has.
+/// Runs a pass in double precision, with the widest instructions of this machine.
 #[inline]
 pub fn dispatch<P: Pass>(pass: P) -> P::Output {
     dispatch_in(Precision::Double, pass)
 }
 
-/// Runs a pass in a given precision, by the widest instructions that this machine has.
+/// Runs a pass in a given precision, with the widest instructions of this machine.
 #[inline]
 pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
     run_on(Arch::new(), precision, pass)
 }
 
-/// As [`dispatch_in`], of a pass that evaluates a kernel: with one that [is a table](crate::kernel::Kernel::is_table) by
-/// instructions whose registers have [`Scalar::TABLES`]. The bits are those of any other.
+/// As [`dispatch_in`], for a pass that evaluates a kernel. A kernel that [is a
+/// table](crate::kernel::Kernel::is_table) runs with instructions for which registers have
+/// [`Scalar::TABLES`]. The result has the same bits.
 #[inline]
 pub fn dispatch_by_kernel<P: Pass>(is_table: bool, precision: Precision, pass: P) -> P::Output {
     run_on(if is_table { Arch::Scalar } else { Arch::new() }, precision, pass)
 }
 
-/// Runs a pass with every instruction set that this machine has, the plain one first: all give the
-/// same bits, which is for tests to see.
+/// Runs a pass with every instruction set of this machine, the portable one first, so that tests
+/// can assert that all give the same bits.
 pub fn on_every_instruction_set<P: Pass + Clone>(
     precision: Precision,
     pass: &P,
@@ -240,7 +246,7 @@ fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
     }
 }
 
-/// A pass with the numbers it is run on.
+/// A pass and the number type in which it runs.
 struct On<W, P> {
     pass: P,
     numbers: std::marker::PhantomData<W>,
@@ -262,7 +268,7 @@ impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
     }
 }
 
-/// Eight columns of eight numbers as eight rows.
+/// Transposes eight columns of eight numbers.
 #[inline(always)]
 pub fn transposed<W: Wide>(columns: &[Lanes; WIDTH]) -> [W::Double; WIDTH] {
     let [a, b, c, d, e, f, g, h] = columns;
@@ -278,14 +284,15 @@ pub fn transposed<W: Wide>(columns: &[Lanes; WIDTH]) -> [W::Double; WIDTH] {
     ])
 }
 
-/// Eight numbers in the place of a particle's.
+/// Eight numbers in the fields of a particle.
 #[inline(always)]
 fn line_of(numbers: &Lanes) -> Packed {
     let [x, y, z, u, v, w, density, stress] = numbers.to_array();
     Packed { position: [x, y, z], velocity: [u, v, w], density, stress }
 }
 
-/// A [`Packed`] reading from its eight fields, for implementations in doubles.
+/// The [`Reading`] of eight neighbours from the eight fields of their lines, for implementations in
+/// `f64`.
 #[inline(always)]
 pub(super) fn reading_of<W: Wide, const D: usize>(
     here: &Packed,
@@ -300,7 +307,7 @@ pub(super) fn reading_of<W: Wide, const D: usize>(
     Reading { separation, velocity, rho_i: here.density, density, stress_i: here.stress, stress }
 }
 
-/// `rᵢⱼ` from the coordinates of eight particles, for implementations in doubles.
+/// `rᵢⱼ` from the coordinates of eight particles, for implementations in `f64`.
 #[inline(always)]
 pub(super) fn separation_of<W: Wide, const D: usize>(
     here: &Packed,
@@ -314,10 +321,11 @@ pub(super) fn separation_of<W: Wide, const D: usize>(
     if space.seam { space.space.minimum_image(separation) } else { separation }
 }
 
-/// How far away nobody is, in single precision: no kernel reaches there, and no fourth power overflows.
+/// Distance of the sentinel in single precision: beyond the reach of every kernel, and small enough
+/// that no fourth power overflows.
 pub(super) const FAR: f64 = 1e6;
 
-/// What a distance in fixed point is worth.
+/// Length of a fixed-point step.
 #[inline(always)]
 pub(super) fn unit(space: Surroundings) -> f64 {
     space.space.length / PackedSingle::STEPS

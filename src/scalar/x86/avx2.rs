@@ -1,11 +1,11 @@
-//! Doubles of AVX2.
+//! The `f64` type of AVX2.
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY: see the parent module.
 
 use super::*;
 use crate::scalar::x86::singles::Doubles;
 
-/// Eight doubles in two registers of AVX2.
+/// Eight `f64` in two registers of AVX2.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scalar) struct Lanes256(pub(super) [__m256d; 2]);
 
@@ -75,7 +75,7 @@ impl Lanes256 {
     }
 }
 
-/// Four numbers, from the `offset`-th on, of four rows, from the `first` on, transposed.
+/// Four numbers, starting at `offset`, of four rows, starting at `first`, transposed.
 #[inline(always)]
 unsafe fn four_columns(rows: &[*const f64; WIDTH], first: usize, offset: usize) -> [__m256d; 4] {
     unsafe {
@@ -92,7 +92,7 @@ unsafe fn four_columns(rows: &[*const f64; WIDTH], first: usize, offset: usize) 
     }
 }
 
-/// Those of eight numbers that are in a mask, in order, in front.
+/// Compresses the elements in a mask to the front.
 #[inline(always)]
 unsafe fn front_of(mask: u8, numbers: __m256i) -> __m256i {
     unsafe {
@@ -102,18 +102,18 @@ unsafe fn front_of(mask: u8, numbers: __m256i) -> __m256i {
     }
 }
 
-/// Which of eight words without a sign are less than a limit.
+/// Which of eight unsigned words are less than a limit.
 #[inline(always)]
 unsafe fn less(words: __m256i, limit: u32) -> u8 {
     unsafe {
-        // With the highest bit turned they compare as numbers with a sign do.
+        // With the highest bit flipped, unsigned words compare as signed words do.
         let words = _mm256_xor_si256(words, _mm256_set1_epi32(i32::MIN));
         let limit = _mm256_set1_epi32(limit as i32 ^ i32::MIN);
         _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpgt_epi32(limit, words))) as u8
     }
 }
 
-/// What is left of [`Wide::sum`] once the upper four lanes were added to the lower.
+/// The rest of [`Wide::sum`], after the upper four lanes have been added to the lower four.
 #[inline(always)]
 pub(super) unsafe fn sum_of_four(four: __m256d) -> f64 {
     unsafe {
@@ -187,7 +187,7 @@ impl Wide for Lanes256 {
         tag: u16,
         [xy, zt]: [&mut [u32; 2 * WIDTH]; 2],
     ) -> u16 {
-        /// Every other half of a word, the upper ones.
+        /// The high half of every word.
         const UPPER: i32 = 0xaa;
         let (mut found, mut next) = (0, 0);
         for eight in 0..2 {
@@ -220,7 +220,7 @@ impl Wide for Lanes256 {
                     _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7),
                 );
                 let tagged = _mm256_or_si256(words[1], _mm256_slli_epi32::<16>(tags));
-                // The second eight go over what the first left behind those it kept.
+                // The second eight overwrite the unused elements of the first.
                 for (word, kept) in [words[0], tagged].into_iter().zip([&mut *xy, &mut *zt]) {
                     let to = kept[next..next + WIDTH].as_mut_ptr();
                     _mm256_storeu_si256(to.cast(), front_of(mask, word));
@@ -242,7 +242,7 @@ impl Wide for Lanes256 {
                 };
                 let xy = _mm256_sub_epi16(xy_here, eight(xy));
                 let zt = _mm256_sub_epi16(z_here, eight(zt));
-                // Above z is the difference of two tags, times zero.
+                // The high half of `zt` is a difference of tags; multiplied by zero.
                 let z = _mm256_and_si256(zt, _mm256_set1_epi32(0xffff));
                 let square = _mm256_add_epi32(_mm256_madd_epi16(xy, xy), _mm256_madd_epi16(zt, z));
                 for (mask, limit) in masks.iter_mut().zip(limits) {
@@ -278,7 +278,7 @@ impl Wide for Lanes256 {
     fn keep_tags(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
         let [low, high] = mask.to_le_bytes();
         let middle = low.count_ones() as usize;
-        // The second eight go over what the first left behind those it kept.
+        // The second eight overwrite the unused elements of the first.
         for (mask, from, to) in [(low, 0, 0), (high, WIDTH, middle)] {
             let (from, to) = (&words[from..from + WIDTH], &mut kept[to..to + WIDTH]);
             unsafe {

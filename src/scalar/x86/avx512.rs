@@ -1,4 +1,4 @@
-//! Doubles of AVX-512.
+//! The `f64` type of AVX-512.
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY: see the parent module.
 
@@ -6,7 +6,7 @@ use super::avx2::sum_of_four;
 use super::*;
 use crate::scalar::x86::singles::Doubles;
 
-/// Eight doubles in one register of AVX-512.
+/// Eight `f64` in one register of AVX-512.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scalar) struct Lanes512(pub(super) [__m512d; 1]);
 
@@ -88,7 +88,7 @@ impl Lanes512 {
     }
 }
 
-/// Four registers of four pairs of numbers, transposed.
+/// Transposes four registers of four pairs of numbers.
 #[inline(always)]
 unsafe fn columns(a: __m512d, b: __m512d, c: __m512d, d: __m512d) -> [__m512d; 4] {
     unsafe {
@@ -104,7 +104,7 @@ unsafe fn columns(a: __m512d, b: __m512d, c: __m512d, d: __m512d) -> [__m512d; 4
     }
 }
 
-/// The upper halves of words.
+/// Mask of the high halves of words.
 const UPPER: u32 = 0xaaaa_aaaa;
 
 impl Wide for Lanes512 {
@@ -237,7 +237,7 @@ impl Wide for Lanes512 {
             let count = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
             let numbers = _mm512_add_epi32(_mm512_set1_epi32(first as i32), count);
             let front = _mm512_maskz_compress_epi32(mask, numbers);
-            // Most are few, and half a register seldom lies across two cache lines.
+            // Most masks have few bits, and half a register seldom crosses a cache line.
             if mask.count_ones() <= 8 {
                 let half = _mm512_castsi512_si256(front);
                 _mm256_storeu_si256(kept.as_mut_ptr().cast(), half);

@@ -1,7 +1,7 @@
-//! Eight numbers in registers of AVX-512, AVX2 and SSE2, a file for each.
+//! Vectors of eight numbers in registers of AVX-512, AVX2 and SSE2, one file each.
 //!
-//! A plain array would do for the meaning, but not for the speed: left to itself the compiler runs it
-//! two lanes at a time. These types say which instruction they mean.
+//! A plain array would give the same results, but more slowly: the compiler vectorises it two lanes
+//! at a time. These types name their instructions.
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY, for every block of this file: the types are private to this crate, and only
 // `wide::dispatch_in` names them, inside of `pulp`'s `vectorize` of an instruction set that was found on
@@ -28,10 +28,10 @@ pub(super) use avx2::Lanes256;
 pub(super) use avx512::Lanes512;
 pub(super) use sse2::{Lanes128, Singles128};
 
-/// Singles on a machine with AVX-512.
+/// The `f32` type on a machine with AVX-512.
 pub(super) type SinglesOn512 = singles::Singles256<Lanes512>;
 
-/// Singles on a machine with AVX2.
+/// The `f32` type on a machine with AVX2.
 pub(super) type SinglesOn256 = singles::Singles256<Lanes256>;
 
 /// The operators of a number, from its methods of two operands.
@@ -79,7 +79,7 @@ macro_rules! arithmetic {
 
 use arithmetic;
 
-/// Instructions of two operands, on each register of two numbers.
+/// Methods of two operands, by one instruction on each register.
 macro_rules! on_registers {
     ([$($generics:tt)*] $number:ty, $new:expr; $($method:ident $instruction:ident;)*) => {
         impl<$($generics)*> $number {$(
@@ -97,7 +97,7 @@ macro_rules! on_registers {
 
 use on_registers;
 
-/// What laws do not do in their loops goes through memory, lane by lane.
+/// Functions that pair loops do not use go through memory, lane by lane.
 macro_rules! through_memory {
     ($($method:ident),*) => {
         $(#[inline(always)]
@@ -117,7 +117,7 @@ macro_rules! through_memory {
             }
             here
         }
-        /// As the plain one: `self < other`, and the other where one is not a number.
+        /// As the portable one: `self < other`, and `other` where either is NaN.
         #[inline(always)]
         fn min(self, other: Self) -> Self {
             self.smaller(other)
@@ -131,7 +131,7 @@ macro_rules! through_memory {
 
 use through_memory;
 
-/// What an implementation in doubles has in common with the others.
+/// The common part of all implementations in `f64`.
 macro_rules! wide_doubles {
     () => {
         type Double = Self;
@@ -196,7 +196,7 @@ macro_rules! wide_doubles {
 
 use wide_doubles;
 
-/// What an implementation in singles, beside doubles of type `$doubles`, has in common with the other.
+/// The common part of both implementations in `f32`, with the `f64` type `$doubles`.
 macro_rules! wide_singles {
     ($doubles:ty) => {
         type Double = $doubles;
@@ -289,8 +289,8 @@ macro_rules! wide_singles {
 
 use wide_singles;
 
-/// Eight pointers from eight references: a loop, since the closure of an array's own `map` is not
-/// inlined into vectorised functions.
+/// Eight pointers from eight references. It is a loop because the closure of an array's own `map`
+/// is not inlined into vectorised functions.
 trait MapEach<P> {
     fn map_each(self, to: impl Fn(&P) -> *const f64) -> [*const f64; WIDTH];
 }
@@ -306,13 +306,13 @@ impl<P> MapEach<P> for [&P; WIDTH] {
     }
 }
 
-/// Asks for the cache line in which a particle's line begins.
+/// Prefetches the cache line in which a particle's line begins.
 #[inline(always)]
 fn fetch_line<L>(line: &L) {
     unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) };
 }
 
-/// The first four numbers of a line: position and one velocity.
+/// The first four numbers of a line: position and the first component of the velocity.
 #[inline(always)]
 fn half_of_packed(line: &Packed) -> *const f64 {
     std::ptr::from_ref(line).cast()

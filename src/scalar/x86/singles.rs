@@ -1,10 +1,10 @@
-//! Singles of AVX2, beside the doubles of AVX-512 or of AVX2.
+//! The `f32` types of AVX2, with the `f64` type of AVX-512 or of AVX2.
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY: see the parent module.
 
 use super::*;
 
-/// Eight singles in one register of AVX2, beside doubles of type `W`.
+/// Eight `f32` in one register of AVX2, with the `f64` type `W`.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scalar) struct Singles256<W>(pub(super) [__m256; 1], PhantomData<W>);
 
@@ -35,7 +35,7 @@ impl<W> Singles256<W> {
     }
 }
 
-/// Doubles beside which there are singles.
+/// An `f64` type that converts from and to `f32`.
 pub(in crate::scalar) trait Doubles: Wide<Double = Self> {
     fn of_singles(singles: __m256) -> Self;
     fn to_singles(self) -> __m256;
@@ -66,7 +66,8 @@ impl<W: Doubles> Scalar for Singles256<W> {
     through_memory!(exp, ln, tanh);
 }
 
-/// Four numbers of eight rows as four columns, from rows `k` and `k + 4` in the halves of register `k`.
+/// Four numbers of eight rows as four columns; register `k` holds rows `k` and `k + 4` in its
+/// halves.
 #[inline(always)]
 unsafe fn single_columns([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
     unsafe {
@@ -83,7 +84,7 @@ unsafe fn single_columns([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
     }
 }
 
-/// Four numbers, from the `offset`-th on, of eight lines.
+/// Four numbers, starting at `offset`, of eight lines.
 #[inline(always)]
 unsafe fn single_halves(others: [&PackedSingle; WIDTH], offset: usize) -> [__m256; 4] {
     unsafe {

@@ -1,14 +1,14 @@
-//! Doubles and singles of SSE2, which every machine has.
+//! The `f64` and `f32` types of SSE2, which every x86-64 machine has.
 #![allow(unsafe_code, reason = "instructions of a set that only `dispatch` has looked for")]
 // SAFETY: see the parent module.
 
 use super::*;
 
-/// Eight doubles in four registers of SSE2, which every machine has.
+/// Eight `f64` in four registers of SSE2.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scalar) struct Lanes128(pub(super) [__m128d; 4]);
 
-/// Eight singles in two registers of SSE2.
+/// Eight `f32` in two registers of SSE2.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scalar) struct Singles128(pub(super) [__m128; 2]);
 
@@ -160,7 +160,7 @@ impl Wide for Lanes128 {
     }
 }
 
-/// Four numbers, from the `offset`-th on, of eight lines, in registers of SSE2.
+/// Four numbers, starting at `offset`, of eight lines, in registers of SSE2.
 #[inline(always)]
 unsafe fn single_quarters(others: [&PackedSingle; WIDTH], offset: usize) -> [Singles128; 4] {
     let mut fields = [Singles128::of(0.0); 4];
@@ -183,13 +183,13 @@ unsafe fn single_quarters(others: [&PackedSingle; WIDTH], offset: usize) -> [Sin
 }
 
 impl Singles128 {
-    /// Four numbers, from the `offset`-th on, of eight lines.
+    /// Four numbers, starting at `offset`, of eight lines.
     #[inline(always)]
     fn columns(others: [&PackedSingle; WIDTH], offset: usize) -> [Self; 4] {
         unsafe { single_quarters(others, offset) }
     }
 
-    /// Differences of fixed-point numbers, whose bits are those of `there`, in steps.
+    /// Differences of fixed-point numbers, in steps; `there` holds its integers as bits.
     #[inline(always)]
     fn steps(here: i32, there: Self) -> Self {
         let mut steps = there;
