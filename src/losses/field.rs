@@ -1,4 +1,4 @@
-//! The field loss `L_f`: the smoothed velocity field on a mesh, against the truth's.
+//! The field loss `L_f`: the smoothed velocity field on a mesh, compared with the truth's.
 
 use super::StateAdjoint;
 use super::lattice::{Lattice, Meet, load_at, store_at};
@@ -12,21 +12,22 @@ use crate::vector::Vector;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Nodes per parallel task: fixed, so that sums have the same bits for any number of threads.
+/// Nodes per parallel task. It is fixed, so that sums have the same bits for any number of threads.
 pub(super) const CHUNK: usize = 256;
 
-/// Fewest planes of nodes that a task finds the field on: a particle is seen by all tasks that it reaches.
+/// Grid planes per particle-to-grid task, minimum. A task also writes the planes that its last
+/// particles reach, and these are added to the planes of other tasks: thin tasks repeat that work.
 const FEWEST_PLANES: usize = 8;
 
-/// Fewest nodes of such a task.
+/// Nodes per particle-to-grid task, minimum.
 const FEWEST_NODES: usize = 1024;
 
-/// Particles as a field sees them.
+/// The particles of which a field is evaluated.
 #[derive(Clone, Copy, Debug)]
 pub struct Points<'a, K, const D: usize> {
     /// Positions, velocities and densities, in the order of `cells`.
     pub packed: &'a [Packed],
-    /// Cells wide enough for the support, and for what particles moved since they were sorted.
+    /// Cells wide enough for the support plus the displacements since they were sorted.
     pub cells: &'a Cells<D>,
     /// The box.
     pub space: PeriodicBox,
@@ -36,7 +37,7 @@ pub struct Points<'a, K, const D: usize> {
     pub mass: f64,
 }
 
-/// The sum over the lanes of every component.
+/// Sums every component over its lanes.
 #[inline(always)]
 pub(super) fn sum_lanes<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<f64, D> {
     let mut sum = Vector::zero();
@@ -46,9 +47,9 @@ pub(super) fn sum_lanes<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vecto
     sum
 }
 
-/// Particles by the first plane of nodes that they touch, in slot order.
+/// Particles sorted by the first plane of nodes that they reach; in slot order within a plane.
 struct Bins {
-    /// Where each plane's particles start in `slots`; one more at the end.
+    /// Index in `slots` of each plane's first particle, and the total at the end.
     start: Vec<u32>,
     slots: Vec<u32>,
 }
@@ -62,14 +63,14 @@ impl Bins {
         Self { start, slots }
     }
 
-    /// The particles whose first plane this is.
+    /// The slots of particles that reach this plane first.
     #[inline(always)]
     fn of(&self, plane: usize) -> &[u32] {
         &self.slots[self.start[plane] as usize..self.start[plane + 1] as usize]
     }
 }
 
-/// The particles whose first planes of nodes follow each other: what a task gives to the nodes.
+/// One particle-to-grid task: the particles that reach one of `planes` first.
 struct Givers<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
     lattice: Lattice<D>,
@@ -79,7 +80,8 @@ struct Givers<'a, K, const D: usize> {
 }
 
 impl<K: Kernel, const D: usize> Givers<'_, K, D> {
-    /// What they give to the planes that they touch, from their first on and beyond the seam of the box.
+    /// Deposits the particles on padded planes, counted from the first of `planes` and continued
+    /// across the periodic boundary.
     fn find(&self) -> [Vec<f64>; D] {
         let Self { lattice, planes, .. } = self;
         let numbers = lattice.planes(planes.len()) * lattice.numbers_per_plane();
@@ -99,7 +101,7 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
     }
 }
 
-/// Adds the rows of a plane to its nodes.
+/// Adds the padded rows of a plane to its nodes.
 fn fold<const D: usize>(rows: [&[f64]; D], lattice: &Lattice<D>, nodes: &mut [Vector<f64, D>]) {
     let Lattice { per_axis, width, .. } = *lattice;
     for (number, nodes) in nodes.chunks_exact_mut(per_axis).enumerate() {
@@ -114,13 +116,13 @@ fn fold<const D: usize>(rows: [&[f64]; D], lattice: &Lattice<D>, nodes: &mut [Ve
     }
 }
 
-/// `V += (m/ρⱼ) vⱼ W` at the nodes of some planes.
+/// Particle-to-grid: `V += (m/ρⱼ) vⱼ W` at the nodes in reach.
 struct GivePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
     lattice: &'a Lattice<D>,
-    /// Who gives.
+    /// Slots of the particles.
     slots: &'a [u32],
-    /// Number of the first plane.
+    /// Index of the first plane.
     plane: usize,
     columns: &'a mut [Vec<f64>; D],
 }
@@ -144,7 +146,7 @@ impl<K: Kernel, const D: usize> Pass for GivePass<'_, K, D> {
     }
 }
 
-/// A particle that gives.
+/// One particle of a particle-to-grid transfer.
 struct Giver<'a, W, K, const D: usize> {
     smoothing: &'a Smoothing<K, D>,
     /// `(m/ρⱼ) vⱼ`.
@@ -200,7 +202,7 @@ pub fn field<K: Kernel, const D: usize>(
     nodes
 }
 
-/// The value of [`super::field_loss`] alone.
+/// Only the value of [`super::field_loss`].
 pub fn field_value<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
@@ -212,8 +214,8 @@ pub fn field_value<K: Kernel, const D: usize>(
     squares.fold(0.0, |sum, square| sum + weight * square)
 }
 
-/// The value of [`super::field_loss`], and its derivative by each particle's position (at fixed density),
-/// velocity and density: each particle takes from the nodes in its reach.
+/// The value of [`super::field_loss`], and its derivative by each particle's position (at fixed
+/// density), velocity and density, by a grid-to-particle transfer.
 pub fn field_adjoint<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
@@ -245,8 +247,8 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
     adjoint
 }
 
-/// The numbers of all nodes, axis by axis: rows, and the planes that they make, carry their beginning again
-/// behind their end.
+/// The values at all nodes, axis by axis, as padded rows and planes: each row, and the sequence of
+/// planes, is continued periodically past its end.
 fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Vec<f64>; D] {
     let numbers = lattice.planes(lattice.per_axis) * lattice.numbers_per_plane();
     let again = lattice.width - lattice.per_axis;
@@ -261,13 +263,13 @@ fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Ve
     columns
 }
 
-/// What particles take from `λ = ∂L/∂V` on the nodes, with `s = λ·vⱼ` and `x − rⱼ` from particle to node:
-/// `∂L/∂vⱼ = (m/ρⱼ) Σ λ W`, `∂L/∂rⱼ = −(m/ρⱼ) Σ s G (x − rⱼ)`, `∂L/∂ρⱼ = −(m/ρⱼ²) Σ s W`.
+/// Grid-to-particle: from `λ = ∂L/∂V` at the nodes, with `s = λ·vⱼ` and `x − rⱼ` from particle to
+/// node, `∂L/∂vⱼ = (m/ρⱼ) Σ λ W`, `∂L/∂rⱼ = −(m/ρⱼ) Σ s G (x − rⱼ)`, `∂L/∂ρⱼ = −(m/ρⱼ²) Σ s W`.
 struct TakePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
     lattice: &'a Lattice<D>,
     nodes: &'a [Vec<f64>; D],
-    /// Who takes.
+    /// The particles.
     particles: &'a [Packed],
     into: (&'a mut [Vector<f64, D>], &'a mut [Vector<f64, D>], &'a mut [f64]),
 }
@@ -295,7 +297,7 @@ impl<K: Kernel, const D: usize> Pass for TakePass<'_, K, D> {
     }
 }
 
-/// A particle that takes.
+/// One particle of a grid-to-particle transfer.
 struct Taker<'a, W, K, const D: usize> {
     smoothing: &'a Smoothing<K, D>,
     nodes: &'a [Vec<f64>; D],
@@ -304,7 +306,7 @@ struct Taker<'a, W, K, const D: usize> {
     sums: TakenSums<W, D>,
 }
 
-/// What it has taken, by the volume `m/ρⱼ`.
+/// Its sums, without the factor `m/ρⱼ`.
 struct TakenSums<W, const D: usize> {
     position: Vector<W, D>,
     velocity: Vector<W, D>,
@@ -334,7 +336,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Particles anywhere in the box, with fields at `n` nodes along an axis, by a kernel of support `reach`.
+    /// Particles at random positions in the box, with fields at `n` nodes along an axis, and a
+    /// kernel of support `reach`.
     fn check<const D: usize>(particles: usize, (n, reach): (usize, f64)) {
         let (length, mut random) = (2.0, ChaCha8Rng::seed_from_u64(n as u64));
         let mut number = |_| random.random_range(0.0..length);
@@ -357,7 +360,7 @@ mod tests {
         }
         let adjoint = field_adjoint(&mesh, &points, (&truth, 1.0));
         assert_eq!(adjoint.value.to_bits(), field_value(&mesh, &points, (&truth, 1.0)).to_bits());
-        // One step along every number of one particle, central differences.
+        // Central differences by every coordinate of one particle.
         let (slot, step) = (particles / 2, 1e-6);
         let slope = |change: &dyn Fn(&mut Packed, f64)| {
             let [more, less] = [step, -step].map(|by| {

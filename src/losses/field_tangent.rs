@@ -1,4 +1,5 @@
-//! The field loss with its derivatives by the parameters: each node sees all sensitivities in its reach.
+//! The field loss with its derivatives by the parameters: each node sums the sensitivities of the
+//! particles in its reach.
 
 use super::SquareSum;
 use super::field::{CHUNK, Points, field_value, sum_lanes};
@@ -10,18 +11,19 @@ use crate::scalar::{Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_by_ker
 use crate::vector::Vector;
 use rayon::prelude::*;
 
-/// Points with their coordinates as columns, to be searched eight at a time.
+/// Particles with their coordinates as columns, for the neighbour search.
 struct Search<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    /// Particles with their volumes `m/ρ` in place of the stress, and nobody, without a volume.
+    /// Particles with their volumes `m/ρ` in the field `stress`, and at the end the sentinel with
+    /// zero volume.
     lines: Vec<Packed>,
-    /// Fixed-point coordinates in cell order, with two [`WIDTH`] more behind them.
+    /// Fixed-point coordinates in cell order, padded by two [`WIDTH`].
     columns: [Vec<i32>; D],
-    /// Squares of distances up to which particles may be in reach, see [`PackedSingle::limits`].
+    /// Squared distances up to which particles may be in reach, see [`PackedSingle::limits`].
     limits: [f32; 2],
 }
 
-/// Eight particles as a place sees them.
+/// Eight particles near a node at `x`.
 struct Seen<W, const D: usize> {
     /// `x − rⱼ`.
     apart: Vector<W, D>,
@@ -47,7 +49,8 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         Self { points, lines, columns: std::array::from_fn(column), limits }
     }
 
-    /// The slots of every particle in reach of the place `x`, with nobody's up to whole lanes.
+    /// The slots of all particles in reach of the place `x`, padded with the sentinel to whole
+    /// eights.
     #[inline(always)]
     fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Draft) -> &'b [[u32; WIDTH]] {
         let Points { cells, space, .. } = self.points;
@@ -62,7 +65,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
             let end = range.to as usize;
             for first in (range.from as usize..end).step_by(2 * WIDTH) {
                 let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
-                // Whoever is a hair too far has no weight.
+                // A particle just out of reach has zero weight.
                 let [_, maybe] = W::near(&self.columns, here, first, self.limits);
                 near.append_mask::<W>(maybe & inside, first);
             }
@@ -71,7 +74,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         near.neighbours(0)
     }
 
-    /// Eight particles from the place `x`.
+    /// Eight particles near the place `x`.
     #[inline(always)]
     fn see<W: Wide>(&self, here: Vector<f64, D>, slots: &[u32; WIDTH]) -> Seen<W::Double, D> {
         let [x, y, z, u, v, w, density, volume] = W::fields(pick(&self.lines, Eight::from(slots)));
@@ -91,7 +94,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         }
     }
 
-    /// `V(x)`, and into `givers` what its derivative is made of.
+    /// `V(x)`. Adds the coefficients of its derivative to `givers`.
     #[inline(always)]
     fn velocity<W: Wide>(
         &self,
@@ -100,7 +103,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         givers: &mut Givers,
     ) -> Vector<f64, D> {
         let mut sum = Vector::<W::Double, D>::zero();
-        // A loop: the closure of a visitor is not inlined into vectorised functions.
+        // A loop, because closures are not inlined into vectorised functions.
         for slots in self.find::<W>(x, near) {
             let seen = self.see::<W>(x, slots);
             sum += seen.velocity * seen.weight;
@@ -111,16 +114,16 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     }
 }
 
-/// Whoever gives to the velocity at some nodes, with what the derivative by it is made of:
-/// `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
+/// The particles that contribute to the velocity at some nodes, with the coefficients of its
+/// derivative: `δV = Σⱼ (m/ρⱼ) [δvⱼ W − vⱼ (G (x − rⱼ)·δrⱼ + W δρⱼ/ρⱼ)]`.
 #[derive(Default)]
 struct Givers {
-    /// Where those of each node start; one more at the end.
+    /// Index of each node's first particle, and the total at the end.
     start: Vec<usize>,
     slots: Vec<u32>,
     /// `(m/ρⱼ) G (x − rⱼ)`, `vⱼ`, `(m/ρⱼ) W/ρⱼ` and `(m/ρⱼ) W`, lane after lane.
     rows: Vec<Lanes>,
-    /// How many there are; what lies behind is anything.
+    /// Number of elements in use.
     filled: usize,
 }
 
@@ -132,7 +135,7 @@ impl Givers {
         self.filled = 0;
     }
 
-    /// Appends those of eight particles that have a weight; nobody has none.
+    /// Appends those of eight particles that have a nonzero weight; the sentinel has none.
     #[inline(always)]
     fn push<W: Wide<Double = W>, const D: usize>(
         &mut self,
@@ -160,10 +163,10 @@ impl Givers {
         ) else {
             return;
         };
-        // Without a branch that nobody can predict: those without a weight are overwritten.
+        // Without an unpredictable branch: an element of zero weight is overwritten by the next.
         let mut count = 0;
         for (lane, &slot) in slots.iter().enumerate() {
-            // No more than the lanes before it.
+            // Never more than the current lane, so that no unread element is lost.
             let place = count % WIDTH;
             (others[place], found[place]) = (slot, rows[lane].store());
             count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
@@ -171,8 +174,9 @@ impl Givers {
         self.filled += count;
     }
 
-    /// The derivatives of the velocity at every node by one block of parameters: component after component,
-    /// each time `blocks` further in `columns`. The sensitivities of the `next` block are asked for.
+    /// The derivatives of the velocity at every node by one block of parameters. Consecutive
+    /// components are `blocks` elements apart in `columns`. Prefetches the sensitivities of the
+    /// `next` block.
     #[inline(always)]
     fn differentiate<W: Wide, const D: usize>(
         &self,
@@ -204,11 +208,11 @@ impl Givers {
     }
 }
 
-/// Nodes whose givers are held at once: they, and one block's sensitivities of everyone near, stay in the
-/// cache.
+/// Nodes linearised at a time: few enough that their coefficients, and one block's sensitivities of
+/// all particles in reach, stay in the cache.
 const NODES: usize = 64;
 
-/// A parameter that the field depends on at a fixed state: of the kernel.
+/// A parameter on which the field depends directly, at a fixed state: one of the kernel's.
 #[derive(Clone, Copy, Debug)]
 pub struct DirectParameter<'a, const D: usize> {
     /// `∂V/∂p` by node.
@@ -265,12 +269,13 @@ impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
 
 /// One frame's share of `L_f`, the mean over nodes, components and frames of `(V − V̂)²`.
 ///
-/// `truth` is `V̂` on the same mesh, `weight` the loss's weight over the number of frames. The
-/// gradient runs through position, velocity and density of every particle in reach, and through the parameters that
-/// the field depends on by itself.
+/// `truth` is `V̂` on the same mesh, `weight` the loss's weight divided by the number of frames.
+/// The gradient includes the position, velocity and density of every particle in reach, and the
+/// parameters on which the field depends directly.
 ///
-/// It counts as many independent residuals as the smoothed field has independent values, `D Lᴰ ∫W²`, where the mesh
-/// has more nodes: errors of neighbouring nodes are those of the same particles.
+/// The number of independent residuals is the number of nodes, but at most the number of
+/// independent values of the smoothed field, `D Lᴰ ∫W²`: on a fine mesh, errors of neighbouring
+/// nodes come from the same particles.
 pub fn field_loss<K: Kernel, const D: usize>(
     mesh: &Mesh<D>,
     points: &Points<'_, K, D>,
@@ -283,7 +288,8 @@ pub fn field_loss<K: Kernel, const D: usize>(
         return sum;
     }
     let weight = weight / (mesh.len() * D) as f64;
-    // Neighbouring nodes smooth over the same particles: of a fine mesh not every node counts.
+    // Neighbouring nodes average over the same particles: on a fine mesh not every node is
+    // independent.
     let independent = points.smoothing.square_integral() * points.space.length.powi(D as i32);
     sum.count = D as f64 * independent.min(mesh.len() as f64);
     sum.size = weight * truth.iter().map(|v| v.norm_squared()).sum::<f64>();

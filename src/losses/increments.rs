@@ -1,4 +1,4 @@
-//! The statistical loss `L_kl`: the distribution of velocity increments, against the truth's.
+//! The statistical loss `L_kl`: the distribution of velocity increments, compared with the truth's.
 
 mod bells;
 
@@ -7,41 +7,45 @@ use crate::vector::Vector;
 use bells::Nodes;
 use std::f64::consts::TAU;
 
-/// Share of the floor in every density, see [`Density1d`].
+/// Weight `ε` of the floor in every density, see [`Density1d`].
 const FLOOR: f64 = 1e-12;
-/// Share of the truth's variance that widens the floor, so that it exists for samples without spread.
+/// Widening of the floor's variance, as a share of the truth's variance, so that samples without
+/// spread have a floor.
 const FLOOR_WIDENING: f64 = 0.01;
-/// Smallest spread of the truth, as a share of `1 + max |x|`.
+/// Standard deviation of the truth, minimum, as a share of `1 + max |x|`.
 const SMALLEST_SPREAD: f64 = 1e-9;
-/// Fewest nodes of a density.
+/// Number of nodes of a density, minimum.
 pub const FEWEST_NODES: usize = 16;
 
-/// The density of the true increments of one component, by Gaussian kernels, ready to be compared with.
+/// The kernel density estimate of the true increments of one component, with which predictions are
+/// compared.
 ///
 /// `G(x) = (1 − ε) (1/N b) Σₖ φ((x − xₖ)/b) + ε N(x; mean, variance)` with `φ = e^{−u²/2}/√2π`,
-/// bandwidth `b = 0.9 std N^{−1/5}` (Silverman 1986) and `ε = 1e-12`. The second term is the floor: where
-/// a prediction has no sample within about seven bandwidths, its density falls over into the normal one
-/// of its own mean and variance, so that the loss of disjoint samples is `ln 1/ε` and the divergence of
-/// the two normal densities, finite, with a gradient that pulls mean and spread home.
+/// bandwidth `b = 0.9 std N^{−1/5}` (Silverman 1986) and `ε = 1e-12`. The second term is the floor.
+/// Where a prediction has no sample within about seven bandwidths, its density becomes `ε` times
+/// the normal density of its own mean and variance. The loss of disjoint samples is therefore
+/// finite: `ln 1/ε` plus the divergence of the two normal densities, with a gradient towards the
+/// true mean and variance.
 ///
-/// The nodes are uniform, from the lowest sample less five bandwidths to the highest plus five, and
-/// belong to the truth alone: beyond them the integrand `G ln(G/Ĝ)` is zero whatever the prediction, so
-/// they lose nothing, and the gradient of what is summed needs no derivative of a node.
+/// The nodes are uniform, from five bandwidths below the lowest sample to five above the highest,
+/// and depend on the truth alone. Beyond them the integrand `G ln(G/Ĝ)` is zero for any prediction,
+/// so that nothing is lost, and the gradient needs no derivative by a node.
 ///
-/// Samples without spread: the truth's standard deviation is at least `1e-9 (1 + max |x|)`; no bandwidth
-/// is less than half the distance of two nodes, below which the sum would not see a sample.
+/// Samples without spread: the truth's standard deviation is taken as at least `1e-9 (1 + max
+/// |x|)`. No bandwidth is less than half the spacing of the nodes, because the sum would miss a
+/// sample between two nodes.
 #[derive(Clone, Debug)]
 pub struct Density1d {
     nodes: Nodes,
-    /// Added to every variance for the floor's width.
+    /// Added to every variance to give the floor's variance.
     widening: f64,
     /// `ln G` at the nodes.
     log_density: Vec<f64>,
-    /// `G` times the trapezoid's weight.
+    /// `G` times the trapezoidal weight.
     mass: Vec<f64>,
 }
 
-/// A loss and its derivatives by every predicted sample: numbers, or vectors.
+/// A loss and its derivatives by every predicted sample, which is a number or a vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IncrementLoss<G = f64> {
     /// The divergence, in nats.
@@ -50,7 +54,7 @@ pub struct IncrementLoss<G = f64> {
     pub gradient: Vec<G>,
 }
 
-/// Samples and what their density is made of.
+/// Samples and the parameters of their density.
 #[derive(Clone, Copy, Debug)]
 struct Samples<'a> {
     x: &'a [f64],
@@ -58,7 +62,7 @@ struct Samples<'a> {
     /// With `N − 1`.
     variance: f64,
     bandwidth: f64,
-    /// Whether the bandwidth follows the standard deviation.
+    /// Whether the bandwidth depends on the standard deviation.
     follows: bool,
     /// Variance of the floor.
     floor: f64,
@@ -101,7 +105,7 @@ impl<'a> Samples<'a> {
         })
     }
 
-    /// `(1 − ε)/(N b √2π)`: what a sample adds to the density at its own place.
+    /// `(1 − ε)/(N b √2π)`: the contribution of a sample to the density at its own place.
     fn peak(&self) -> f64 {
         (1.0 - FLOOR) / (self.x.len() as f64 * self.bandwidth * TAU.sqrt())
     }
@@ -114,7 +118,7 @@ impl<'a> Samples<'a> {
 }
 
 impl Nodes {
-    /// `ln G` and the logarithm of its floor at every node, in log space: neither underflows.
+    /// `ln G` and the logarithm of its floor at every node. In log space neither underflows.
     fn log_densities(&self, samples: &Samples<'_>) -> Vec<(f64, f64)> {
         let peak = samples.peak().ln();
         let bells = self.bells(samples.x, samples.bandwidth).into_iter().enumerate();
@@ -129,7 +133,7 @@ impl Nodes {
 }
 
 impl Density1d {
-    /// The density of `truth` on `nodes` nodes; 200 are the paper's.
+    /// The density of `truth` on `nodes` nodes; the paper uses 200.
     ///
     /// # Errors
     /// [`Error::Input`] for no sample, one that is not finite, or fewer than 16 nodes.
@@ -152,7 +156,7 @@ impl Density1d {
         Ok(Self { nodes, widening, log_density, mass })
     }
 
-    /// Where the density is known, `[nodes]`.
+    /// The positions of the nodes, `[nodes]`.
     pub fn nodes(&self) -> impl Iterator<Item = f64> + '_ {
         (0..self.nodes.count).map(|node| self.nodes.at(node))
     }
@@ -171,12 +175,12 @@ impl Density1d {
         Ok(self.nodes.log_densities(&samples).into_iter().map(|(log, _)| log).collect())
     }
 
-    /// The forward divergence `∫ G ln(G/Ĝ) dx` by the trapezoid rule, and its exact derivatives by the
-    /// predicted samples, through bandwidth and floor as well.
+    /// The forward divergence `∫ G ln(G/Ĝ) dx` by the trapezoidal rule, and its exact derivatives
+    /// by the predicted samples, including those through bandwidth and floor.
     ///
-    /// Zero for the truth itself, never below `−1e-6`.
-    /// With `cₘ` the trapezoid's share of `G/Ĝ` at node `m`:
-    /// `∂L/∂x̂ₖ = −Σₘ cₘ ∂Ĝₘ/∂x̂ₖ`, where `∂b/∂x̂ₖ = b (x̂ₖ − mean)/((N − 1) variance)`.
+    /// It is zero for the truth itself, and never below `−1e-6`. With `cₘ`, the trapezoidal weight
+    /// times `G/Ĝ` at node `m`: `∂L/∂x̂ₖ = −Σₘ cₘ ∂Ĝₘ/∂x̂ₖ`, where `∂b/∂x̂ₖ = b (x̂ₖ − mean)/((N −
+    /// 1) variance)`.
     ///
     /// # Errors
     /// [`Error::Input`] for no sample or one that is not finite.
@@ -201,7 +205,7 @@ impl Density1d {
     /// `∂L/∂x̂ₖ` at fixed bandwidth and floor, and `∂L/∂b`.
     fn by_kernels(&self, samples: &Samples<'_>, logs: &[(f64, f64)]) -> (Vec<f64>, f64) {
         let scale = samples.peak() / samples.bandwidth;
-        // Where nobody is felt, this may overflow, and nobody asks.
+        // Where no sample contributes, the exponential may overflow; the weight there is zero.
         let weight = |(&mass, &(log, floor)): (&f64, &(f64, f64))| {
             if log > floor { -mass * (scale.ln() - log).exp() } else { 0.0 }
         };
@@ -222,7 +226,7 @@ impl Density1d {
     }
 }
 
-/// The divergence of predicted increments of one component from true ones: [`Density1d::loss`].
+/// The divergence of predicted from true increments of one component: [`Density1d::loss`].
 ///
 /// # Errors
 /// As [`Density1d::new`] and [`Density1d::loss`].
@@ -230,7 +234,8 @@ pub fn increment_loss(truth: &[f64], predicted: &[f64], nodes: usize) -> Result<
     Density1d::new(truth, nodes)?.loss(predicted)
 }
 
-/// The densities of true increments, one per component; prepared once, compared with every prediction.
+/// The densities of true increments, one per component; computed once and compared with every
+/// prediction.
 #[derive(Clone, Debug)]
 pub struct IncrementDensities<const D: usize> {
     components: Vec<Density1d>,
@@ -251,7 +256,7 @@ impl<const D: usize> IncrementDensities<D> {
         Ok(Self { components: (0..D).map(one).collect::<Result<_>>()? })
     }
 
-    /// Component by component.
+    /// The densities, component by component.
     pub fn components(&self) -> &[Density1d] {
         &self.components
     }
@@ -273,8 +278,8 @@ impl<const D: usize> IncrementDensities<D> {
     }
 }
 
-/// The mean divergence between distinct realisations of the same flow, over all ordered pairs: what a
-/// perfect model with other random numbers would score.
+/// The mean divergence between different realisations of the same flow, over all ordered pairs: the
+/// loss of a perfect model with other random numbers.
 ///
 /// # Errors
 /// [`Error::Input`] for fewer than two realisations, and as [`Density1d::new`].

@@ -1,20 +1,21 @@
-//! The nodes that particles touch: no search, no list, whole registers.
+//! The nodes of a mesh in reach of a particle, in whole registers, without a search or a list.
 //!
-//! A mesh is regular, so the nodes within reach of a particle are a block, whose distances are known. Each row of
-//! the block lies consecutively in memory and is short: a register holds four nodes of two rows, or eight of
-//! one. Kernels are evaluated where the nodes are met, and nothing is kept.
+//! A mesh is regular, so that the nodes in reach of a particle form a block at known distances.
+//! Each row of the block is contiguous in memory and short: a register holds four nodes of each of
+//! two rows, or eight of one. Kernels are evaluated on the fly, and nothing is stored.
 
 use super::Mesh;
 use crate::scalar::{Lanes, WIDTH, Wide};
 use crate::vector::Vector;
 
-/// Nodes that lie together in memory: half of a register.
+/// Number of nodes that are contiguous in memory, minimum: half of a register.
 pub(super) const HALF: usize = WIDTH / 2;
 
-/// A square of a distance at which every kernel has ended, in squares of the reach.
+/// Square of a distance at which every kernel is zero, in squared reaches.
 const FAR: f64 = 16.0;
 
-/// Lanes by number.
+/// Lanes with the value `below` in the first `count` of each `width` lanes, and `from` in the
+/// others.
 const fn lanes_of(count: usize, (below, from): (f64, f64), width: usize) -> Lanes {
     let (mut lanes, mut lane) = (Lanes::ZERO, 0);
     while lane < WIDTH {
@@ -24,7 +25,8 @@ const fn lanes_of(count: usize, (below, from): (f64, f64), width: usize) -> Lane
     lanes
 }
 
-/// [`FAR`] in all lanes but the first of each row, as many as the number says, of rows of some width.
+/// `far_beyond(width)[n]`: offsets of squared distances that disable all lanes but the first `n` of
+/// each row of `width` lanes, by adding [`FAR`] to the others.
 const fn far_beyond(width: usize) -> [Lanes; WIDTH + 1] {
     let mut far = [Lanes::ZERO; WIDTH + 1];
     let mut count = 0;
@@ -35,15 +37,15 @@ const fn far_beyond(width: usize) -> [Lanes; WIDTH + 1] {
     far
 }
 
-/// How the lanes of a register lie on the mesh.
+/// The arrangement of a register's lanes on the mesh.
 struct Layout {
-    /// How many nodes along its row each is behind the first.
+    /// Each lane's offset along its row, in nodes.
     along: Lanes,
-    /// How many rows.
+    /// Each lane's offset across rows.
     across: Lanes,
     /// See [`far_beyond`].
     far: [Lanes; WIDTH + 1],
-    /// Rows in all.
+    /// Number of rows.
     rows: usize,
 }
 
@@ -63,40 +65,40 @@ const TWO_ROWS: Layout = Layout {
     rows: 2,
 };
 
-/// What a particle does with the nodes that it touches.
+/// The operation of a particle on the nodes in its reach.
 pub(super) trait Meet<W: Wide, const D: usize> {
-    /// Meets eight nodes: the places of their first and second [`HALF`] among the numbers of a lattice, their
-    /// positions less the particle's, and the squares of their distances, beyond every kernel where a lane
-    /// has no node.
+    /// Processes eight nodes. `places` are the indices of their first and second [`HALF`] in the
+    /// columns of a lattice, `apart` their positions minus the particle's, and `square` the squared
+    /// distances, beyond every kernel in lanes without a node.
     fn meet(&mut self, places: [usize; 2], apart: &Vector<W, D>, square: W);
 }
 
-/// A mesh as particles of one reach touch it. Its rows carry their beginning again behind their end, and
-/// planes follow each other beyond the seam of the box, so that no block of nodes is cut there.
+/// A periodically padded mesh, for particles of one reach. Each row is continued past its end, and
+/// so are the planes beyond the periodic boundary, so that every block of nodes is contiguous.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice<const D: usize> {
     /// Nodes along each axis.
     pub(super) per_axis: usize,
-    /// Numbers in a row.
+    /// Length of a padded row.
     pub(super) width: usize,
-    /// Most nodes within reach along an axis.
+    /// Nodes in reach of a particle along an axis, maximum.
     most: usize,
     spacing: f64,
     inverse_spacing: f64,
-    /// How far particles reach.
+    /// Reach of a particle.
     reach: f64,
-    /// The same along an axis: not farther than half the box, to the nearest image.
+    /// The reach along an axis: at most half the box, because of the nearest image.
     along: f64,
 }
 
-/// The block of nodes around a place, axis by axis.
+/// The block of nodes in reach of a place, axis by axis.
 #[derive(Clone, Copy, Debug)]
 struct Block<const D: usize> {
-    /// Number of the first node.
+    /// Index of the first node.
     first: [usize; D],
-    /// How many there are from there on.
+    /// Number of nodes.
     count: [usize; D],
-    /// How far the first is from the place.
+    /// Position of the first node minus the place.
     apart: Vector<f64, D>,
 }
 
@@ -109,23 +111,23 @@ impl<const D: usize> Lattice<D> {
         Self { per_axis, width, most, spacing, inverse_spacing, reach, along }
     }
 
-    /// Numbers in the rows of a plane, the nodes of one number along the last axis.
+    /// Numbers in a plane of padded rows, that is, at one index along the last axis.
     pub(super) fn numbers_per_plane(&self) -> usize {
         self.per_axis.pow(D as u32 - 2) * self.width
     }
 
-    /// Planes that particles touch whose first is one of so many, and one more.
+    /// Number of planes in reach of particles with `firsts` consecutive first planes, plus one.
     pub(super) fn planes(&self, firsts: usize) -> usize {
         firsts + self.most
     }
 
-    /// Number of the first node within reach along an axis.
+    /// Index of the first node in reach along an axis.
     #[inline(always)]
     pub(super) fn first(&self, x: f64) -> usize {
         self.number(((x - self.along) * self.inverse_spacing).ceil())
     }
 
-    /// The nodes whose coordinates are each within reach of a place.
+    /// The nodes with each coordinate in reach of a place.
     #[inline(always)]
     fn block(&self, place: Vector<f64, D>) -> Block<D> {
         let mut block = Block { first: [0; D], count: [0; D], apart: Vector::zero() };
@@ -133,7 +135,7 @@ impl<const D: usize> Lattice<D> {
             let x = place[axis];
             let first = ((x - self.along) * self.inverse_spacing).ceil();
             let last = ((x + self.along) * self.inverse_spacing).floor();
-            // Nothing around a place that is none.
+            // A position that is NaN has an empty block.
             block.count[axis] = ((last - first + 1.0) as usize).min(self.most);
             block.apart[axis] = first * self.spacing - x;
             block.first[axis] = self.number(first);
@@ -141,14 +143,14 @@ impl<const D: usize> Lattice<D> {
         block
     }
 
-    /// The number of a node that is counted on beyond the seam of the box.
+    /// The index of a node, brought back across the periodic boundary.
     #[inline(always)]
     fn number(&self, counted: f64) -> usize {
         let (n, counted) = (self.per_axis as i64, counted as i64);
         if (0..n).contains(&counted) { counted as usize } else { counted.rem_euclid(n) as usize }
     }
 
-    /// Meets all nodes within reach of a place; planes are counted from `plane` on.
+    /// Processes all nodes in reach of a place; planes are counted from `plane`.
     #[inline(always)]
     pub(super) fn around<W: Wide>(
         &self,
@@ -170,7 +172,8 @@ impl<const D: usize> Lattice<D> {
         }
     }
 
-    /// Meets the nodes of a block, some nodes along the rows and some rows on, in one register for each plane.
+    /// Processes, for each plane of a block, the register at `along` nodes along the rows and
+    /// `line` rows across.
     #[inline(always)]
     fn meet_rows<W: Wide>(
         &self,
@@ -185,7 +188,7 @@ impl<const D: usize> Lattice<D> {
         let mut apart = Vector::<W, D>::zero();
         apart[0] = (W::load(&layout.along) + along as f64) * spacing + block.apart[0];
         apart[1] = (across + line as f64) * spacing + block.apart[1];
-        // A second row may be none.
+        // The second row may lie outside of the block.
         let none = if line + layout.rows > block.count[1] { FAR * far } else { 0.0 };
         let flat = apart[0] * apart[0] + W::load(&layout.far[count]) * far;
         let flat = flat + apart[1] * apart[1] + across * none;
@@ -213,13 +216,13 @@ impl<const D: usize> Lattice<D> {
     }
 }
 
-/// A number of a node brought back into the mesh, once around at most.
+/// Brings the index of a node back into the mesh; it may be at most one period too large.
 #[inline(always)]
 fn wrap(number: usize, per_axis: usize) -> usize {
     if number >= per_axis { number - per_axis } else { number }
 }
 
-/// The numbers of eight nodes.
+/// Loads the numbers of eight nodes.
 #[inline(always)]
 pub(super) fn load_at<W: Wide>(column: &[f64], [first, second]: [usize; 2]) -> W {
     let mut lanes = [0.0; WIDTH];
@@ -228,7 +231,7 @@ pub(super) fn load_at<W: Wide>(column: &[f64], [first, second]: [usize; 2]) -> W
     W::load(&Lanes::new(lanes))
 }
 
-/// Puts them back.
+/// Stores them.
 #[inline(always)]
 pub(super) fn store_at<W: Wide>(column: &mut [f64], [first, second]: [usize; 2], numbers: W) {
     let lanes = numbers.store().to_array();

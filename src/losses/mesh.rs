@@ -22,13 +22,13 @@ impl<const D: usize> Mesh<D> {
         self.per_axis == 0
     }
 
-    /// Coordinate of the nodes of one number along an axis.
+    /// Coordinate of the nodes with an index along an axis.
     #[inline(always)]
     fn coordinate(&self, along: usize) -> f64 {
         along as f64 * self.length / self.per_axis as f64
     }
 
-    /// Position of a node; the first axis runs fastest.
+    /// Position of a node; the first axis varies fastest.
     pub fn node(&self, mut index: usize) -> Vector<f64, D> {
         Vector(std::array::from_fn(|_| {
             let along = index % self.per_axis;

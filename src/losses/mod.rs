@@ -1,9 +1,10 @@
-//! Losses: how far a predicted flow is from the truth, with exact gradients.
+//! Losses: the distance of a predicted flow from the truth, with exact gradients.
 //!
-//! [`trajectory_loss`] and [`field_loss`] are sums of squares; each observed frame adds its residuals `R` and their
-//! derivatives `J = ∂R/∂θ` to one [`SquareSum`], which serves gradient descent (`2 Σ w R J`) and
-//! Levenberg–Marquardt (`Σ w J Jᵀ`) alike, in memory that does not grow with the number of residuals.
-//! [`statistical_loss`] is a divergence: a [`GradientSum`], for gradient descent only.
+//! [`trajectory_loss`] and [`field_loss`] are sums of squares. Each observed frame adds its
+//! residuals `R` and their derivatives `J = ∂R/∂θ` to one [`SquareSum`]. It serves both gradient
+//! descent (`2 Σ w R J`) and Levenberg–Marquardt (`Σ w J Jᵀ`), and its memory does not grow with
+//! the number of residuals. [`statistical_loss`] is a divergence: it yields a [`GradientSum`], for
+//! gradient descent only.
 
 mod field;
 mod field_tangent;
@@ -36,12 +37,12 @@ pub struct StateAdjoint<const D: usize> {
     pub velocity: Vec<Vector<f64, D>>,
     /// `∂L/∂ρ`.
     pub density: Vec<f64>,
-    /// `∂L/∂` of parameters that the loss depends on directly: place in the flat vector, and derivative.
+    /// `(place in the flat vector, ∂L/∂parameter)` of parameters that the loss depends on directly.
     pub parameters: Vec<(usize, f64)>,
 }
 
 impl<const D: usize> StateAdjoint<D> {
-    /// No loss, of `count` particles.
+    /// Zero loss, of `count` particles.
     pub fn zero(count: usize) -> Self {
         let zeros = vec![Vector::zero(); count];
         let (value, density, parameters) = (0.0, vec![0.0; count], Vec::new());
@@ -54,13 +55,14 @@ impl<const D: usize> StateAdjoint<D> {
 pub struct SquareSum {
     /// `Σ w R²`.
     pub value: f64,
-    /// Number of independent residuals in it, as the loss counts them.
+    /// Number of independent residuals, as defined by the loss.
     pub count: f64,
-    /// `Σ w X̂²`: the same sum over the observed quantity itself, which makes the value relative.
+    /// `Σ w X̂²`: the same sum over the observed quantity itself, by which the value is made
+    /// relative.
     pub size: f64,
     /// `½ ∂value/∂θ = Σ w R J`, in blocks of eight parameters.
     half_gradient: Vec<Lanes>,
-    /// `Σ w J Jᵀ`: row `a`, then blocks, from the row's own on; the rest follows by symmetry.
+    /// `Σ w J Jᵀ`, upper triangle: for each row, its blocks from the diagonal on.
     normal: Vec<Lanes>,
 }
 
@@ -76,7 +78,7 @@ impl SquareSum {
         }
     }
 
-    /// Adds one residual whose derivative by the parameters of block `b` is `columns(b)`.
+    /// Adds one residual with the derivative `columns(b)` by the parameters of block `b`.
     #[inline(always)]
     pub fn add(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
         self.add_gradient(weight, residual, &columns);
@@ -91,7 +93,7 @@ impl SquareSum {
         }
     }
 
-    /// As [`Self::add`], but for the matrix.
+    /// As [`Self::add`], without the matrix.
     #[inline(always)]
     fn add_gradient(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
         self.value += weight * residual * residual;
@@ -100,8 +102,8 @@ impl SquareSum {
         }
     }
 
-    /// Adds many residuals of one weight; `columns` holds the blocks of each, one residual after another, and
-    /// may hold more.
+    /// Adds many residuals of one weight. `columns` holds the blocks of one residual after another,
+    /// and may be longer.
     #[inline(always)]
     pub(crate) fn add_rows<W: Wide>(&mut self, weight: f64, residuals: &[f64], columns: &[Lanes]) {
         let blocks = self.half_gradient.len();
@@ -116,11 +118,11 @@ impl SquareSum {
         }
     }
 
-    /// Residuals whose share of the matrix is added at once, so that each part of it stays in registers
-    /// meanwhile, and they in the cache.
+    /// Residuals per panel of the matrix product, so that each tile of the matrix stays in
+    /// registers and the panel in the cache.
     const PANEL: usize = 48;
 
-    /// Adds the matrix of some residuals of one weight.
+    /// Adds the matrix of a panel of residuals of one weight.
     #[inline(always)]
     fn add_normal<W: Wide>(&mut self, weight: f64, columns: &[Lanes]) {
         let blocks = self.half_gradient.len();
@@ -171,7 +173,7 @@ impl SquareSum {
     }
 }
 
-/// A weighted loss that is no sum of squares, with its gradient.
+/// A weighted loss that is not a sum of squares, with its gradient.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GradientSum {
     /// The loss.

@@ -1,4 +1,4 @@
-//! The statistical loss `L_kl` of a flow: the increments of its velocities against the truth's.
+//! The statistical loss `L_kl` of a flow: its velocity increments, compared with the truth's.
 
 use super::{GradientSum, IncrementDensities, IncrementLoss, StateAdjoint};
 use crate::packed::{Packed, PackedSensitivity};
@@ -6,13 +6,13 @@ use crate::scalar::Lanes;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
-/// `w` times [`IncrementDensities::loss`] of `δu = v − u(0)`, and its gradient `w Σᵢ gᵢ·∂vᵢ/∂θ` with
-/// `gᵢ = ∂L/∂vᵢ`: the start, and with it `u(0)`, depends on no parameter.
+/// `w` times [`IncrementDensities::loss`] of `δu = v − u(0)`, and its gradient `w Σᵢ gᵢ·∂vᵢ/∂θ`
+/// with `gᵢ = ∂L/∂vᵢ`. The start `u(0)` depends on no parameter.
 ///
-/// `packed` and `blocks` are in the order of slots, `u(0)` in that of rows, and every sum is taken in
-/// the order of rows: no sorting of cells and no number of threads changes its bits. Increments that
-/// have no density, because one is not finite, make an infinite loss with gradient zero.
-/// Tested in `tests/statistical_loss.rs`.
+/// `packed` and `blocks` are in the order of slots, `u(0)` in the order of rows. Every sum is taken
+/// in the order of rows, so that neither the cell order nor the number of threads changes its bits.
+/// If an increment is not finite, the loss is infinite with gradient zero. Tested in
+/// `tests/statistical_loss.rs`.
 pub fn statistical_loss<const D: usize>(
     (packed, slot_of_row): (&[Packed], &[u32]),
     blocks: &[&[PackedSensitivity<D>]],

@@ -1,18 +1,18 @@
-//! The trajectory loss `L_tr`: every particle against its true self.
+//! The trajectory loss `L_tr`: every particle compared with the same particle of the truth.
 
 use super::{SquareSum, StateAdjoint};
 use crate::packed::{Packed, PackedSensitivity};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
-/// One frame's share of `L_tr = (1/N) Σ_frames Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`, position differences as
-/// minimum images.
+/// One frame's share of `L_tr = (1/N) Σ_frames Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`, with position
+/// differences of nearest images.
 ///
-/// Positions and velocities are summed apart, because they are measured with errors of their own. The size of a
-/// position is that of the box.
+/// Positions and velocities are summed separately, because their measurement errors differ. Errors
+/// of positions are relative to the size of the box.
 ///
-/// `truth` gives `(r̂, v̂)` of the particle in a slot of `packed`; `blocks` are the sensitivities in
-/// the same order, none in a run that learns nothing. Tested in `tests/gradients.rs`.
+/// `truth` gives `(r̂, v̂)` of the particle in a slot of `packed`; `blocks` are the sensitivities
+/// in the same order, empty in a run that learns nothing. Tested in `tests/gradients.rs`.
 pub fn trajectory_loss<const D: usize>(
     packed: &[Packed],
     blocks: &[&[PackedSensitivity<D>]],

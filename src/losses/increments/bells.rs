@@ -1,36 +1,39 @@
-//! Sums of normal kernels on uniform nodes, in both directions: the hot part of the loss.
+//! Sums of Gaussian kernels on uniform nodes, and their derivatives: the expensive part of the
+//! loss.
 
 use crate::network::{COUNT, exp};
 use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
 use rayon::prelude::*;
 
-/// Samples per parallel task: fixed, so that sums have the same bits for any number of threads.
+/// Samples per parallel task. It is fixed, so that sums have the same bits for any number of
+/// threads.
 const CHUNK: usize = 256;
-/// Bandwidths beyond the outermost samples that the nodes reach.
+/// Margin of the nodes beyond the outermost samples, in bandwidths.
 const MARGIN: f64 = 5.0;
-/// Bandwidths beyond which a sample is not felt: `e⁻⁷² ≈ 5e-32`.
+/// Reach of a sample, in bandwidths; beyond it the kernel is at most `e⁻⁷² ≈ 5e-32` and is left
+/// out.
 const REACH: f64 = 12.0;
 
-/// Where densities are compared.
+/// Uniform nodes at which densities are compared.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Nodes {
-    /// The lowest.
+    /// Position of the lowest node.
     first: f64,
-    /// Distance of two.
+    /// Distance of two nodes.
     pub(super) spacing: f64,
-    /// How many.
+    /// Number of nodes.
     pub(super) count: usize,
 }
 
 impl Nodes {
-    /// Over the samples and five bandwidths on either side.
+    /// Over the range of the samples, and five bandwidths beyond it on either side.
     pub(super) fn new(x: &[f64], bandwidth: f64, count: usize) -> Self {
         let low = x.iter().copied().fold(f64::INFINITY, f64::min) - MARGIN * bandwidth;
         let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max) + MARGIN * bandwidth;
         Self { first: low, spacing: (high - low) / (count - 1) as f64, count }
     }
 
-    /// Where a node stands.
+    /// Position of a node.
     pub(super) fn at(&self, node: usize) -> f64 {
         self.first + node as f64 * self.spacing
     }
@@ -70,13 +73,13 @@ impl Nodes {
     }
 }
 
-/// The stretch of nodes that feel one sample, in whole lanes: the first of them, how many lanes, and
-/// `u = (node − x)/b` of the first eight.
+/// The nodes in reach of one sample, in whole registers: the index of the first, the number of
+/// registers, and `u = (node − x)/b` of the first eight.
 #[inline(always)]
 fn reach<W: Wide>(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, W) {
     let place = (x - nodes.first) / nodes.spacing;
     let radius = REACH * bandwidth / nodes.spacing;
-    // A conversion to an integer stops at its ends.
+    // A conversion to an integer saturates at its limits.
     let first = ((place - radius).ceil().max(0.0) as usize).min(nodes.count);
     let end = (((place + radius).floor() + 1.0).max(0.0) as usize).min(nodes.count);
     let lanes = end.saturating_sub(first).div_ceil(WIDTH);
@@ -90,7 +93,7 @@ fn bell<W: Wide>(u: W) -> W {
     exp(u * u * -0.5)
 }
 
-/// Adds `Σₖ e^{−u²/2}` of a chunk of samples at every node; `sum` has eight nodes to spare.
+/// Adds `Σₖ e^{−u²/2}` of a chunk of samples at every node; `sum` is padded by eight nodes.
 struct Spread<'a> {
     nodes: Nodes,
     x: &'a [f64],
@@ -117,10 +120,11 @@ impl Pass for Spread<'_> {
     }
 }
 
-/// For each sample of a chunk `Σₘ wₘ e^{−u²/2} u` over the nodes, and over all of them
-/// `Σ wₘ e^{−u²/2} (u² − 1)`; `weights` has eight zeros to spare.
+/// For each sample of a chunk `Σₘ wₘ e^{−u²/2} u` over the nodes, and in total `Σ wₘ e^{−u²/2} (u²
+/// − 1)`; `weights` is padded by eight zeros.
 ///
-/// Lanes are left apart: a sum over them in here would be vectorised in place of the loop.
+/// The caller sums over lanes: if it were done here, the compiler would vectorise that sum instead
+/// of the loop.
 struct Gather<'a> {
     nodes: Nodes,
     x: &'a [f64],
