@@ -8,15 +8,16 @@ use crate::scene::Values;
 use crate::vector::Vector;
 use std::fmt::Debug;
 
-/// A force along the line between two particles, `aᵢ += s rᵢⱼ`, given by its strength `s` alone: opposite for the two
-/// particles, so that linear momentum and the torque of each pair are conserved.
+/// A force along the line between two particles, `aᵢ += s rᵢⱼ`, given by its scalar coefficient
+/// `s`. It is opposite for the two particles, so that linear momentum is conserved and the torques
+/// of a pair cancel.
 ///
-/// The strength is written once over [`Scalar`]; eight-lane numbers run it, dual numbers give its derivatives by the
-/// pair's state and by its `P` parameters. It must vanish at `r = 2h`, and be even in the exchange of the two
-/// particles.
+/// The coefficient is written once over [`Scalar`]: eight-lane numbers evaluate it, dual numbers
+/// give its derivatives by the pair's state and by its `P` parameters. It must vanish at `r = 2h`,
+/// and be symmetric in the two particles.
 ///
-/// Soft spheres that push each other away, `s = k (1 − r²/4h²)²`, with a learned `k`; the gradient of the loss by `k`
-/// from the adjoint is that of central differences:
+/// Soft repulsive spheres, `s = k (1 − r²/4h²)²`, with a learned `k`. The gradient of the loss by
+/// `k`, from forward sensitivities and from the adjoint, agrees with central differences:
 ///
 /// ```
 /// use whirls::learn::Learner;
@@ -64,14 +65,14 @@ use std::fmt::Debug;
 /// # Ok::<(), whirls::Error>(())
 /// ```
 pub trait CentralForce<const P: usize>: Clone + Debug + Send + Sync + 'static {
-    /// Its parameters with the values that they start with; a scene learns them as `law.parameter`.
+    /// Its parameters with their initial values; a scene learns them as `law.parameter`.
     fn parameters(&self) -> [ParameterSpec; P];
 
     /// `s` of a pair, from its state, the smoothing length and the parameters.
     fn strength<T: Scalar>(&self, pair: &Pair<T>, h: f64, parameters: [T; P]) -> T;
 }
 
-/// The pair law of a [`CentralForce`] among the particles of a medium.
+/// The pair law of a [`CentralForce`], for the particles of a fluid.
 #[derive(Clone, Debug)]
 pub struct Central<F, const P: usize, const D: usize> {
     name: String,
@@ -81,13 +82,13 @@ pub struct Central<F, const P: usize, const D: usize> {
 }
 
 impl<F: CentralForce<P>, const P: usize, const D: usize> Central<F, P, D> {
-    /// Under a name, with the parameters that the force starts with.
+    /// The law with this name and the force's initial parameters.
     pub fn new(name: &str, force: F, medium: Medium<D>) -> Self {
         let values = force.parameters().map(|spec| spec.value);
         Self { name: name.to_owned(), force, medium, values }
     }
 
-    /// With other values of its parameters, as far as they are given.
+    /// The law with other values of its parameters; parameters without a value keep theirs.
     #[must_use]
     pub fn with_values(mut self, values: &Values) -> Self {
         for (own, spec) in self.values.iter_mut().zip(self.force.parameters()) {

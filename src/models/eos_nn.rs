@@ -22,7 +22,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 10, the paper's (141 parameters).
+    /// Height 10, as in the paper (141 parameters).
     fn default() -> Self {
         Self { height: 10, scales: Scales::default() }
     }
@@ -31,8 +31,9 @@ impl Default for Options {
 /// Eq. (6): the fluid of [`super::Physics`] with `P(ρ) = S NN((ρ − 1)/ρ_s)` in place of Tait's pressure,
 /// `S = c² ρ_s`; Monaghan's viscosity is kept.
 ///
-/// `1 → l → l → 1`. Momentum and pair torques are conserved whatever the network says. Recommended
-/// where the fluid is known but its equation of state is not; one network evaluation per particle.
+/// `1 → l → l → 1`. Linear momentum is conserved and pair torques cancel for any weights.
+/// Recommended where the fluid is known but its equation of state is not. It evaluates the network
+/// once per particle.
 #[derive(Clone, Debug)]
 pub struct EosNn<const D: usize> {
     medium: Medium<D>,
@@ -41,7 +42,7 @@ pub struct EosNn<const D: usize> {
 }
 
 impl<const D: usize> EosNn<D> {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a network without units.
@@ -50,7 +51,7 @@ impl<const D: usize> EosNn<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network })
     }
 
-    /// `NN`, with `room` ready for its derivatives.
+    /// `NN`; leaves `room` ready for its derivatives.
     #[inline(always)]
     fn evaluate(&self, rho: Lanes, room: &mut Room) -> Lanes {
         room.input[0] = (rho - 1.0) / self.units.compression;
@@ -66,7 +67,7 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
 
     medium_and_network!("eos-nn");
 
-    /// `c`: what the network makes of other densities is not known before it has learned.
+    /// `c`, because the learned pressure at other densities is unknown before training.
     fn sound_speed(&self, _: f64) -> f64 {
         self.medium.fluid.c.abs()
     }
@@ -96,7 +97,8 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
         }
     }
 
-    /// One evaluation and one pullback of the network, the lanes of its weights' sums not yet added up.
+    /// One evaluation and one pullback of the network. The sums over weights are per lane, not yet
+    /// added up.
     #[inline(always)]
     fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
         let value = self.evaluate(rho, room);

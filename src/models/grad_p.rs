@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub struct Options {
     /// Units in each hidden layer.
     pub height: usize,
-    /// Whether the network sees `|rᵢⱼ|` alone, so that forces are opposite.
+    /// Whether the network depends on `|rᵢⱼ|` only, so that forces are opposite.
     pub antisymmetric: bool,
     /// Sizes of inputs and outputs.
     pub scales: Scales,
@@ -32,8 +32,8 @@ impl Default for Options {
 
 /// Eq. (5): `aᵢ = −Σⱼ m (S NN(rᵢⱼ/h) + Πᵢⱼ) ∇ᵢWᵢⱼ`; with `antisymmetric`, `NN(|rᵢⱼ|/h)`.
 ///
-/// `d → l → l → 1`. The kernel ends the force at `2h`. As the paper prints it, `NN(rᵢⱼ)` and `NN(rⱼᵢ)`
-/// differ and momentum is not conserved; with `antisymmetric` it is.
+/// `d → l → l → 1`. The kernel ends the force at `2h`. As printed in the paper, `NN(rᵢⱼ)` and
+/// `NN(rⱼᵢ)` differ and momentum is not conserved; with `antisymmetric` it is.
 #[derive(Clone, Debug)]
 pub struct GradP<const D: usize> {
     medium: Medium<D>,
@@ -43,7 +43,7 @@ pub struct GradP<const D: usize> {
 }
 
 impl<const D: usize> GradP<D> {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a network without units.
@@ -54,7 +54,7 @@ impl<const D: usize> GradP<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric })
     }
 
-    /// From derivatives by the network's inputs to those by `rᵢⱼ`.
+    /// Derivatives by `rᵢⱼ` from derivatives by the network's inputs.
     #[inline(always)]
     fn by_separation<W: Wide>(&self, pairs: &Batch<W, D>, by_input: &[Lanes]) -> Vector<W, D> {
         if self.antisymmetric {

@@ -1,4 +1,4 @@
-//! What every model stands on, and the pair force of a fluid, Eq. (7).
+//! The fluid: mass, kernel and constants of every model, and the pair force of Eq. (7).
 
 use super::{CentralSlope, PairCotangent};
 use crate::kernel::{AnyKernel, Kernel, KernelChoice, Smoothing};
@@ -25,11 +25,12 @@ pub struct FluidConstants {
 }
 
 impl FluidConstants {
-    /// How many there are: they are the first parameters of every model, in this order.
+    /// Number of constants. They are the first parameters of every model, in this order.
     pub const COUNT: usize = 5;
 
-    /// As parameters. Pressure near the reference density is `c²(ρ−1) + ½(c²γ − c²)(ρ−1)² + …`, viscosity is `αc`
-    /// times one thing plus `β` times another: over one step the force is nearly linear in `(c², αc, β, c²γ, p₀)`.
+    /// The constants as parameters. The pressure near the reference density is `c²(ρ−1) + ½(c²γ −
+    /// c²)(ρ−1)² + …`, and the viscosity is linear in `αc` and `β`: over one step the force is
+    /// nearly linear in `(c², αc, β, c²γ, p₀)`.
     pub fn specs(&self) -> [ParameterSpec; Self::COUNT] {
         let times = |power| Coordinate::Times(Parameter::C, power);
         [
@@ -48,20 +49,20 @@ impl FluidConstants {
     }
 }
 
-/// Mass, kernel and constants: the part of a model that is known.
+/// Mass, kernel and constants: the part of a model that is not learned by a network.
 #[derive(Clone, Debug)]
 pub struct Medium<const D: usize> {
     /// Mass `m` of every particle.
     pub mass: f64,
     /// The kernel at the scene's smoothing length.
     pub smoothing: Smoothing<AnyKernel, D>,
-    /// The same kernel as a scene spells it.
+    /// The same kernel, as the scene chooses it.
     pub kernel: KernelChoice,
     /// The constants of the fluid.
     pub fluid: FluidConstants,
 }
 
-/// The strength `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient.
+/// The coefficient `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient.
 #[derive(Clone, Copy, Debug)]
 pub struct Strength<T, P = [T; 0]> {
     /// `s`.
@@ -70,16 +71,16 @@ pub struct Strength<T, P = [T; 0]> {
     pub by_separation: T,
     /// `∂s/∂(v·r)`.
     pub by_approach: T,
-    /// `∂s/∂X` of the pair's stress `X = Aᵢ + Aⱼ`.
+    /// `∂s/∂X` with `X = Aᵢ + Aⱼ`.
     pub by_stress: T,
-    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed stress.
+    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed `A`.
     pub by_density: T,
-    /// `∂s/∂(c, α, β)` at fixed stress, or by the first parameters of another law.
+    /// `∂s/∂(c, α, β)` at fixed `A`, or by the first parameters of another law.
     pub by_parameter: P,
 }
 
 impl<const D: usize> Medium<D> {
-    /// The medium of a scene in `particles` particles.
+    /// The fluid of a scene with `particles` particles.
     pub fn of(scene: &Scene, particles: usize) -> Self {
         let fluid = &scene.fluid;
         Self {
@@ -90,14 +91,15 @@ impl<const D: usize> Medium<D> {
         }
     }
 
-    /// The parameters of every model that stands on it: the fluid's constants, then those of the kernel's shape.
+    /// The parameters of every model of this fluid: its constants, then those of the kernel's
+    /// shape.
     pub fn specs(&self) -> Vec<ParameterSpec> {
         let mut specs = self.fluid.specs().to_vec();
         specs.extend(self.kernel_specs());
         specs
     }
 
-    /// Puts other values of them in force.
+    /// Sets the values of these parameters.
     pub fn set(&mut self, values: &[f64]) {
         if let [c, alpha, beta, gamma, p0, kernel @ ..] = values {
             let [c, alpha, beta, gamma, p0] = [*c, *alpha, *beta, *gamma, *p0];
@@ -106,7 +108,7 @@ impl<const D: usize> Medium<D> {
         }
     }
 
-    /// How many parameters it has.
+    /// Number of these parameters.
     pub fn scalars(&self) -> usize {
         FluidConstants::COUNT + self.kernel_scalars()
     }
@@ -116,12 +118,12 @@ impl<const D: usize> Medium<D> {
         self.kernel.specs()
     }
 
-    /// How many these are.
+    /// Number of parameters of the kernel's shape.
     pub fn kernel_scalars(&self) -> usize {
         self.smoothing.kernel().parameters()
     }
 
-    /// Puts other values of them in force.
+    /// Sets the values of the kernel's parameters.
     pub fn set_kernel(&mut self, values: &[f64]) {
         if self.kernel.set(values) {
             self.smoothing = Smoothing::of(self.kernel.in_dimension(D), self.smoothing.h);
@@ -148,7 +150,7 @@ impl<const D: usize> Medium<D> {
         [stresses * pull * -self.mass, viscous * pull * -self.mass]
     }
 
-    /// `s = −m (X + Πᵢⱼ) G(r)` for a pair whose stresses sum to `X`: the law of Eq. (7) in one line.
+    /// `s = −m (X + Πᵢⱼ) G(r)` with `X = Aᵢ + Aⱼ`: the coefficient of Eq. (7).
     #[inline(always)]
     pub fn strength<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> T {
         let pull = self.smoothing.gradient(pair.r2.sqrt());
@@ -177,14 +179,15 @@ impl<const D: usize> Medium<D> {
         }
     }
 
-    /// The linearised force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    /// The linearised force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
     pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
         let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
     }
 
-    /// `∂f/∂p` by a parameter of the kernel's shape, of eight pairs whose stresses sum to `X`: `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`.
+    /// `∂f/∂p` by a parameter of the kernel's shape, for eight pairs with sums `X`: `−m (X + Πᵢⱼ)
+    /// ∂G/∂p rᵢⱼ`.
     #[inline(always)]
     pub fn by_kernel<W: Wide>(
         &self,
@@ -197,7 +200,7 @@ impl<const D: usize> Medium<D> {
         pairs.separation * ((stresses + viscous) * by * -self.mass)
     }
 
-    /// The pullback of the force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    /// The pullback of the force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
     pub fn pullback<W: Wide>(
         &self,
@@ -210,10 +213,11 @@ impl<const D: usize> Medium<D> {
         cotangent
     }
 
-    /// The pullback of the force of eight pairs whose stresses sum to `X`, at fixed `X`, and `∂L/∂X`: with
-    /// the derivatives `s_r`, `s_v` of the strength by `r·δr` and `v·r`, and `a = λ·rᵢⱼ`,
-    /// `∂L/∂rᵢⱼ = s λ + a s_r rᵢⱼ + a s_v vᵢⱼ`, `∂L/∂vᵢⱼ = a s_v rᵢⱼ`. It is [`Medium::strength_gradient`]
-    /// times `a`, which costs less where all terms of the viscosity share one factor.
+    /// The pullback of the force of eight pairs with sums `X`, at fixed `X`, and `∂L/∂X`. With the
+    /// derivatives `s_r`, `s_v` of the coefficient by `r·δr` and `v·r`, and `a = λ·rᵢⱼ`, it is
+    /// `∂L/∂rᵢⱼ = s λ + a s_r rᵢⱼ + a s_v vᵢⱼ`, `∂L/∂vᵢⱼ = a s_v rᵢⱼ`. It equals
+    /// [`Medium::strength_gradient`] times `a`, but costs less, because all terms of the viscosity
+    /// share a factor.
     #[inline(always)]
     pub fn pullback_of<W: Wide>(
         &self,
@@ -242,7 +246,7 @@ impl<const D: usize> Medium<D> {
         (cotangent, by_stress)
     }
 
-    /// The force of eight pairs whose stresses `Aᵢ + Aⱼ` are the particles' own.
+    /// The force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
     pub fn force<W: Wide>(&self, pairs: &Batch<W, D>) -> Vector<W, D> {
         pairs.separation * self.strength(&pairs.pair, pairs.stress_i + pairs.stress_j)

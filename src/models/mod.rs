@@ -1,11 +1,11 @@
-//! The hierarchy of models, Eqs. (2) to (7): which law moves the particles.
+//! The hierarchy of models, Eqs. (2) to (7): the law by which particles accelerate.
 //!
-//! A model says what a particle is by itself ([`Constitutive`]: its *stress*, what it brings to its
-//! pairs) and what two particles do to each other ([`PairLaw`]), each with its derivatives; the loops
-//! over particles, forwards and backwards, follow from that. A model whose particles see all their
-//! neighbours at once ([`Node`]) writes its loops itself ([`Model`]). The systems call a [`Model`] once
-//! per chunk of particles, by a virtual call that nobody notices: each loop is compiled for its law,
-//! everything around it once.
+//! A model consists of a function of density for each particle ([`Constitutive`]: `A(ρ)`, called
+//! *stress*) and a force between two particles ([`PairLaw`]), each with its derivatives. The loops
+//! over particles, forwards and backwards, follow from these. A model with a force that depends on
+//! all neighbours together ([`Node`]) writes its own loops ([`Model`]). The systems call a
+//! [`Model`] once per chunk of particles, by a virtual call of negligible cost: each loop is
+//! compiled for its law, and the code around it only once.
 //!
 //! | model | acceleration of particle `i` | features | momentum |
 //! |---|---|---|---|
@@ -25,9 +25,10 @@
 //! | network by its inputs and weights | many → 1 or `d` | reverse ([`crate::network`]) |
 //! | loss by everything | many → 1 | adjoint, or forward for few parameters ([`crate::sensitivity`]) |
 //!
-//! **A law of your own** between two particles is one function, [`CentralForce`], which dual numbers differentiate;
-//! [`crate::scene::Scene::add_pair_law`] adds it to a scene, and its parameters are learned like any other. A law that
-//! needs more (a network, every cycle) implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
+//! **A law of your own** between two particles is one function, [`CentralForce`], which dual
+//! numbers differentiate. [`crate::scene::Scene::add_pair_law`] adds it to a scene, and its
+//! parameters are learned like any other. A law that needs a network, or the last bit of speed,
+//! implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
 
 mod central;
 mod laminar;
@@ -152,13 +153,13 @@ hierarchy! {
 }
 
 impl ModelChoice {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
-    /// Compiled once for each dimension, in this crate: a caller that names `Learner<3>` does not compile
-    /// every pair loop of every model again.
+    /// It is compiled once for each dimension, in this crate, so that a caller of `Learner<3>` need
+    /// not compile every pair loop of every model again.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] for options that make no network.
+    /// [`crate::Error::Input`] for options from which no network can be built.
     pub fn build<const D: usize>(&self, medium: Medium<D>) -> Result<Box<dyn Model<D>>> {
         let medium: Box<dyn Any> = Box::new(medium);
         let model: Option<Box<dyn Any>> = match medium.downcast::<Medium<2>>() {
@@ -185,20 +186,20 @@ impl ModelChoice {
     }
 }
 
-/// What a particle is by itself.
+/// The function `A(ρ)` of each particle, and the constants of the fluid.
 pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     /// Mass, kernel and physical parameters.
     fn medium(&self) -> &Medium<D>;
 
-    /// The same, to change.
+    /// The same, mutable.
     fn medium_mut(&mut self) -> &mut Medium<D>;
 
-    /// Its name: a `kind` in scenes, or that of a law of the caller's own.
+    /// Its name: a `kind` in scenes, or the name of a user's law.
     fn name(&self) -> &str {
         "pair law"
     }
 
-    /// Whether particles bring a stress to their pairs.
+    /// Whether the model has a function `A(ρ)`.
     fn has_stress(&self) -> bool {
         false
     }
@@ -213,17 +214,17 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
         self.medium().mass
     }
 
-    /// Its scalar parameters with the values in force: those of the medium, then its own.
+    /// Its scalar parameters with their current values: those of the fluid, then its own.
     fn specs(&self) -> Vec<ParameterSpec> {
         self.medium().specs()
     }
 
-    /// How many these are.
+    /// Number of its scalar parameters.
     fn scalars(&self) -> usize {
         self.medium().scalars()
     }
 
-    /// Puts other values of them in force.
+    /// Sets the values of its scalar parameters.
     fn set_scalars(&mut self, values: &[f64]) {
         self.medium_mut().set(values);
     }
@@ -233,38 +234,39 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
         None
     }
 
-    /// The same, to change.
+    /// The same, mutable.
     fn network_mut(&mut self) -> Option<&mut Learned> {
         None
     }
 
     /// The speed of sound at density `rho`, for the Courant number; zero where the model has none.
-    /// Monotonic in `rho`. By default that of Tait's fluid, `c ρ^((γ−1)/2)`.
+    /// It must be monotonic in `rho`. The default is that of Tait's fluid, `c ρ^((γ−1)/2)`.
     fn sound_speed(&self, rho: f64) -> f64 {
         let FluidConstants { c, gamma, .. } = self.medium().fluid;
         c.abs() * rho.max(0.0).powf(0.5 * (gamma - 1.0))
     }
 
-    /// What eight particles of density `rho` bring to their pairs, `A`.
+    /// `A` of eight particles of density `rho`.
     fn stress(&self, rho: Lanes, room: &mut Room) -> Lanes {
         let _ = (rho, room);
         Lanes::ZERO
     }
 
-    /// `∂A/∂ρ`; with it `∂A` by each scalar parameter into `room.stress_by`, whose other entries are zero.
+    /// `∂A/∂ρ`. Also writes `∂A` by each scalar parameter into `room.stress_by`, zero for
+    /// parameters that `A` does not depend on.
     fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
         let _ = rho;
         room.stress_by.fill(Lanes::ZERO);
         Lanes::ZERO
     }
 
-    /// `∂A/∂weights` into `room.weights`; nothing where the stress has no network.
+    /// Writes `∂A/∂weights` into `room.weights`; does nothing where `A` has no network.
     fn stress_weights(&self, rho: Lanes, room: &mut Room) {
         let _ = (rho, room);
     }
 
-    /// The transpose of both: from `∂L/∂A` of eight particles, `∂L/∂ρ` through `A`; the derivatives by
-    /// parameters and weights are added to the room's sums.
+    /// The transpose of both: from `∂L/∂A` of eight particles, `∂L/∂ρ` through `A`. The derivatives
+    /// by parameters and weights are added to the sums in `room`.
     fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
         let by_density = self.stress_slope(rho, room);
         for (sum, &by) in room.scalars.iter_mut().zip(&room.stress_by) {
@@ -274,35 +276,39 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 }
 
-/// What two particles do to each other.
+/// The force between two particles.
 pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
-    /// One number for each of its first scalar parameters, on which the pair force depends directly: `[W; P]`.
+    /// One number for each of its first scalar parameters, those on which the pair force depends
+    /// directly: `[W; P]`.
     type ByParameter<W: Wide>: Slots<W>;
     /// The linearised force.
     type Slope<W: Wide>: Slope<W, D, ByParameter = Self::ByParameter<W>>;
 
-    /// Whether the law holds nothing in memory of its own but the table of its kernel, where that is one. The pullback
-    /// then keeps its numbers in registers.
+    /// Whether the law holds only plain numbers, except for the table of a tabulated kernel. The
+    /// pullback then keeps them in registers.
     const IS_NUMBERS: bool = false;
 
-    /// Whether the force is that of a fluid, Eq. (7), at [stresses](PairLaw::stresses) of the law's own. Its parts and
-    /// its derivative by the kernel's shape follow from the [`Medium`].
+    /// Whether the force is that of a fluid, Eq. (7), with the law's own [sums](PairLaw::stresses)
+    /// `Aᵢ + Aⱼ`. Its parts and its derivative by the kernel's shape then follow from the
+    /// [`Medium`].
     const IS_FLUID: bool = false;
 
-    /// Names of the parts that its force is told by in reports.
+    /// Names of the parts into which reports divide its force.
     const PARTS: &'static [&'static str] =
         if Self::IS_FLUID { &["pressure", "viscosity"] } else { &["pair force"] };
 
-    /// Whether the pair force holds the model's network.
+    /// Whether the pair force depends on the model's network.
     const HAS_NETWORK: bool = false;
 
-    /// Whether the pair force depends on the kernel's shape, whose parameters are the last of the law's scalars.
+    /// Whether the pair force depends on the kernel's shape. The shape's parameters are the last of
+    /// the law's scalars.
     const HAS_KERNEL: bool = Self::IS_FLUID;
 
-    /// Whether `fᵢⱼ = −fⱼᵢ`, so that momentum is conserved and one end of a pair knows both.
+    /// Whether `fᵢⱼ = −fⱼᵢ`: momentum is conserved, and one evaluation gives the force on both
+    /// particles.
     fn is_antisymmetric(&self) -> bool;
 
-    /// The sum `X` of what eight pairs of a fluid are pressed apart by, `Aᵢ + Aⱼ`.
+    /// The sum `X = Aᵢ + Aⱼ` of eight pairs.
     #[inline(always)]
     fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
         let _ = room;
@@ -339,14 +345,14 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
         Vector::zero()
     }
 
-    /// The acceleration `fᵢⱼ` that eight neighbours each give to particle `i`.
+    /// The acceleration `fᵢⱼ` of particle `i` by each of eight neighbours.
     fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D>;
 
     /// Its derivative by the pair's state.
     fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Self::Slope<W>;
 
-    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the first parameters at fixed stress;
-    /// those by a network's weights are added to `room.weights`.
+    /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the first parameters, at fixed
+    /// `A`. Derivatives by a network's weights are added to `room.weights`.
     fn pullback<W: Wide>(
         &self,
         pairs: &Batch<W, D>,
@@ -355,27 +361,27 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     ) -> PairCotangent<W, D, Self::ByParameter<W>>;
 }
 
-/// Which derivatives of a force are kept.
+/// Which derivatives of a force are computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Kept<'a> {
-    /// All, or particle `i`'s own.
+    /// All, or only those by particle `i`'s own state.
     pub coupling: Coupling,
-    /// Whether the direct derivatives by scalar parameters are wanted.
+    /// Whether the direct derivatives by scalar parameters are needed.
     pub direct: bool,
     /// `∂A/∂ρ` per slot.
     pub stress_slopes: &'a [f64],
 }
 
-/// Where the forces on a chunk of particles go.
+/// The output of a force evaluation, for a chunk of particles.
 #[derive(Debug)]
 pub struct ForceOutput<'a, const D: usize> {
     /// `a` of each particle.
     pub accelerations: &'a mut [Vector<f64, D>],
-    /// Whether forces are added to what another law has left there.
+    /// Whether forces are added to those of another law.
     pub add: bool,
 }
 
-/// What one chunk passes back through the force, in the order of its slots.
+/// The output of the pullback of one chunk's forces, in the order of its slots.
 #[derive(Debug)]
 pub struct Passed<'a, const D: usize> {
     /// `∂L/∂r`, added to.
@@ -384,13 +390,13 @@ pub struct Passed<'a, const D: usize> {
     pub velocity: &'a mut [Vector<f64, D>],
     /// `(∂L/∂A, ∂L/∂ρ)`, added to.
     pub scalars: &'a mut [(f64, f64)],
-    /// What belongs to the neighbours, place by place as in the lists of who is near; filled where
-    /// [`Model::passes_to_neighbours`].
+    /// The shares of neighbours, one for each place in the lists of neighbours within the support;
+    /// filled where [`Model::passes_to_neighbours`].
     pub neighbours: &'a mut Vec<PairShare<D>>,
 }
 
-/// The part of a pair's cotangent that belongs to particle `j`: one cache line in 3D, since `j` fetches
-/// them one by one.
+/// The part of a pair's cotangent that belongs to particle `j`. It is one cache line in 3D, because
+/// `j` reads its shares one by one.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct PairShare<const D: usize> {
@@ -405,12 +411,12 @@ pub struct PairShare<const D: usize> {
 }
 
 impl<const D: usize> PairShare<D> {
-    /// Nothing.
+    /// Zero.
     pub const ZERO: Self =
         Self { position: Vector([0.0; D]), velocity: Vector([0.0; D]), stress: 0.0, density: 0.0 };
 }
 
-/// A law of motion over chunks of particles: what the systems run. Every [`PairLaw`] is one.
+/// A law of motion over chunks of particles, as the systems call it. Every [`PairLaw`] is one.
 pub trait Model<const D: usize>: Constitutive<D> {
     /// A copy.
     fn boxed(&self) -> Box<dyn Model<D>>;
@@ -418,7 +424,7 @@ pub trait Model<const D: usize>: Constitutive<D> {
     /// `aᵢ` of every particle of a chunk.
     fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>);
 
-    /// A room to evaluate it in.
+    /// A scratch buffer to evaluate it in.
     fn room(&self) -> Room {
         Room::new(self.scalars(), self.network())
     }
@@ -426,29 +432,31 @@ pub trait Model<const D: usize>: Constitutive<D> {
     /// Names of the parts of its force.
     fn part_names(&self) -> &'static [&'static str];
 
-    /// One of the parts, of every particle of a chunk.
+    /// One of the parts, for every particle of a chunk.
     fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
 
-    /// `∂aᵢ` at fixed weights by what every particle of a chunk and its neighbours bring; overwrites `into`.
+    /// The linearised accelerations of a chunk at fixed weights, by the states of its particles and
+    /// of their neighbours; overwrites `into`.
     fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes);
 
-    /// Whether the force itself (not only the stress) depends on the network.
+    /// Whether the pair force itself, and not only `A`, depends on the network.
     fn has_force_network(&self) -> bool;
 
-    /// Whether the stress depends on the network.
+    /// Whether `A` depends on the network.
     fn has_stress_network(&self) -> bool {
         self.has_stress() && self.network().is_some() && !self.has_force_network()
     }
 
-    /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`, of as many particles as `out` has room for,
-    /// from a chunk's `first` on; that is a multiple of eight.
+    /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`, of consecutive particles until
+    /// `out` is full, starting from a chunk's particle `first`, a multiple of eight.
     fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]);
 
-    /// Whether particles pass derivatives on to their neighbours one way only.
+    /// Whether the pullback writes separate shares for neighbours, because pair forces are not
+    /// opposite.
     fn passes_to_neighbours(&self) -> bool;
 
-    /// From `∂L/∂a` (`forces`, per slot) to the derivatives by the state; those by the parameters are
-    /// added to the room's sums.
+    /// From `∂L/∂a` (`forces`, per slot) to the derivatives by the state. Derivatives by the
+    /// parameters are added to the sums in `room`.
     fn pull_back(
         &self,
         hood: Hood<'_>,

@@ -27,8 +27,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 5 and the features of the paper's Eq. (3) (83 parameters in 3D; the paper counts 113, its
-    /// code has twelve inputs), with a smooth window.
+    /// Height 5 and the features of the paper's Eq. (3), with a smooth window. In 3D it has 83
+    /// parameters; the paper counts 113, because its code has twelve inputs.
     fn default() -> Self {
         Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
     }
@@ -36,8 +36,8 @@ impl Default for Options {
 
 /// Eq. (3): `aᵢ = Σⱼ F w(r) NN(rᵢⱼ/h, vᵢⱼ/V)`; with `antisymmetric`, `½ [NN(ij) − NN(ji)]`.
 ///
-/// `2d → l → l → d`. As the paper prints it, momentum is not conserved; with `antisymmetric` it is,
-/// for twice the network evaluations, while pair torques remain.
+/// `2d → l → l → d`. As printed in the paper, momentum is not conserved. With `antisymmetric` it
+/// is, for twice the network evaluations, but pair torques do not cancel.
 #[derive(Clone, Debug)]
 pub struct NnSum<const D: usize> {
     medium: Medium<D>,
@@ -48,7 +48,7 @@ pub struct NnSum<const D: usize> {
 }
 
 impl<const D: usize> NnSum<D> {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a network without units.
@@ -59,7 +59,7 @@ impl<const D: usize> NnSum<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric, window })
     }
 
-    /// `NN(ij)`, or `NN(ji)` for `sign = −1`, into `room`.
+    /// Evaluates `NN(ij)`, or `NN(ji)` for `sign = −1`, into `room`.
     #[inline(always)]
     fn evaluate<W: Wide>(&self, pairs: &Batch<W, D>, sign: f64, room: &mut Room) {
         for axis in 0..D {
@@ -69,7 +69,7 @@ impl<const D: usize> NnSum<D> {
         self.network.value(room);
     }
 
-    /// The ends of a pair that are evaluated, with the factor on each.
+    /// The factors of a pair's network evaluations: positive for `NN(ij)`, negative for `NN(ji)`.
     #[inline(always)]
     fn ends(&self) -> &'static [f64] {
         if self.antisymmetric { &[0.5, -0.5] } else { &[1.0] }
@@ -116,7 +116,7 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
             self.evaluate(pairs, factor.signum(), room);
             self.network.jacobian(room);
             let scale = factor * self.units.force;
-            // The factor's sign comes back from the derivative of the inputs.
+            // The inputs have the sign of the factor, and so have the derivatives by them.
             let inner = window * (scale * factor.signum());
             for a in 0..D {
                 let row = &room.jacobian[2 * D * a..2 * D * (a + 1)];

@@ -1,4 +1,4 @@
-//! A neural ODE, Eq. (2): one network of a particle's whole neighbourhood.
+//! A neural ODE, Eq. (2): one network evaluated on a particle's nearest neighbours.
 
 use super::scales::Units;
 use super::{
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct Options {
     /// Units in each hidden layer.
     pub height: usize,
-    /// How many neighbours the network sees, `m`.
+    /// Number of neighbours that are inputs of the network, `m`.
     pub nearest: usize,
     /// Whether a neighbour's features fade towards `2h`, see [`Window`].
     pub window: bool,
@@ -28,17 +28,18 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 5 and 20 neighbours, the paper's (653 parameters in 3D), with a smooth window.
+    /// Height 5 and 20 neighbours, as in the paper (653 parameters in 3D), with a smooth window.
     fn default() -> Self {
         Self { height: 5, nearest: 20, window: true, scales: Scales::default() }
     }
 }
 
-/// Eq. (2): `aᵢ = F NN(w rᵢⱼ/h, w vᵢⱼ/V for the m nearest j within 2h, by distance)`, missing ones zero.
+/// Eq. (2): `aᵢ = F NN(w rᵢⱼ/h, w vᵢⱼ/V for the m nearest j within 2h, by distance)`; inputs of
+/// missing neighbours are zero.
 ///
-/// `2dm → l → l → d`. Conserves nothing, and turns nothing. Continuous where a neighbour enters the
-/// support; where two neighbours change ranks it jumps, as any network of an ordered list does, and the
-/// gradient is that of the ranks as they are.
+/// `2dm → l → l → d`. It conserves no momentum and is not invariant under rotations. It is
+/// continuous where a neighbour enters the support. Where two neighbours exchange ranks it jumps,
+/// as does any network of an ordered list, and the gradient is that at fixed ranks.
 #[derive(Clone, Debug)]
 pub struct Node<const D: usize> {
     medium: Medium<D>,
@@ -48,10 +49,10 @@ pub struct Node<const D: usize> {
     window: Window,
 }
 
-/// No neighbour in a list of the nearest.
+/// Index that marks a missing neighbour.
 const MISSING: u32 = u32::MAX;
 
-/// One neighbour of one particle: features and what they depend on.
+/// One neighbour of one particle: its features, and the factor on them.
 #[derive(Clone, Copy, Debug)]
 struct Feature<const D: usize> {
     separation: Vector<f64, D>,
@@ -61,7 +62,7 @@ struct Feature<const D: usize> {
 }
 
 impl<const D: usize> Node<D> {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
     /// # Errors
     /// [`Error::Input`] for a network without units or neighbours, or with more than 1000.
@@ -76,7 +77,7 @@ impl<const D: usize> Node<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, nearest, window })
     }
 
-    /// The features of who is near the chunk's `k`-th particle at a `place` of the lists.
+    /// The features of the neighbour at `place` in the lists, for the chunk's `k`-th particle.
     #[inline(always)]
     fn feature(&self, hood: Hood<'_>, k: usize, place: u32) -> Feature<D> {
         let here = &hood.lines.double[hood.near.first + k];
@@ -91,7 +92,8 @@ impl<const D: usize> Node<D> {
         Feature { separation, velocity, window: self.window.at(separation.norm_squared()) }
     }
 
-    /// Finds the nearest of particle `k`, in order, into row `lane` of `room.nearest`.
+    /// Finds the nearest neighbours of particle `k`, in order of distance, and writes them to row
+    /// `lane` of `room.nearest`.
     #[inline(always)]
     fn find_nearest(&self, hood: Hood<'_>, (k, lane): (usize, usize), room: &mut Room) {
         let support2 = self.medium.smoothing.support() * self.medium.smoothing.support();
@@ -147,7 +149,7 @@ impl<const D: usize> Node<D> {
         self.network.value(room);
     }
 
-    /// From derivatives by a neighbour's `2d` inputs, those by `rᵢⱼ` and `vᵢⱼ`.
+    /// Derivatives by `rᵢⱼ` and `vᵢⱼ` from derivatives by a neighbour's `2d` inputs.
     #[inline(always)]
     fn through(&self, feature: &Feature<D>, by: [Vector<f64, D>; 2]) -> [Vector<f64, D>; 2] {
         let (w, by_r2) = feature.window;
@@ -157,7 +159,7 @@ impl<const D: usize> Node<D> {
         [by_r * w + feature.separation * (through_window * by_r2), by_v * w]
     }
 
-    /// Two vectors of one lane, from the inputs of rank `rank` on.
+    /// The two vectors of a rank in one lane, out of numbers in the order of the inputs.
     #[inline(always)]
     fn pick(&self, from: &[Lanes], rank: usize, lane: usize) -> [Vector<f64, D>; 2] {
         let mut picked = [Vector::zero(); 2];
@@ -168,7 +170,7 @@ impl<const D: usize> Node<D> {
         picked
     }
 
-    /// The slope by a neighbour of a rank, after `network.jacobian`.
+    /// The derivative of the force by a neighbour's state, after `network.jacobian`.
     #[inline(always)]
     fn slope(
         &self,
@@ -289,7 +291,7 @@ impl<const D: usize> Pass for SlopePass<'_, D> {
     fn run<W: Wide>(self) {
         let Self { model, hood, kept, room, into } = self;
         into.clear(Form::Matrix);
-        // No scalar parameter has a direct part in the force.
+        // The force does not depend on scalar parameters directly.
         let mut direct = std::mem::take(&mut room.direct);
         direct.clear();
         direct.resize(if kept.direct { D * (2 + model.scalars()) } else { 0 }, Lanes::ZERO);

@@ -1,4 +1,4 @@
-//! The loops over pairs that every [`PairLaw`] shares: value, tangent, pullback.
+//! The loops over pairs of every [`PairLaw`]: value, tangent and pullback.
 
 use super::tangent::MOST_ROWS;
 use super::{
@@ -131,7 +131,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for PartPass<'_, L, D> {
     }
 }
 
-/// Every component as doubles.
+/// Converts every component to `f64`.
 #[inline(always)]
 fn widen<W: Wide, const D: usize>(vector: Vector<W, D>) -> Vector<W::Double, D> {
     let mut wide = Vector::zero();
@@ -141,7 +141,7 @@ fn widen<W: Wide, const D: usize>(vector: Vector<W, D>) -> Vector<W::Double, D> 
     wide
 }
 
-/// The slopes of one chunk's pairs, found eight at a time, and their sums.
+/// Linearises a chunk's pairs, eight at a time, and sums them.
 struct SlopePass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
@@ -179,8 +179,8 @@ impl<L: PairLaw<D>, const D: usize> Pass for SlopePass<'_, L, D> {
     }
 }
 
-/// Adds the derivatives of eight pairs that do not stand in their rows: `[axis]` by `ρᵢ`, by `Aᵢ`, and by each of
-/// the law's parameters where there is room for them.
+/// Adds the derivatives of eight pairs that are not stored in rows: `[axis]` by `ρᵢ`, by `Aᵢ`, and
+/// by each of the law's parameters if `sums` has room for them.
 #[inline(always)]
 fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
     (law, room): (&L, &mut Room),
@@ -205,7 +205,7 @@ fn add_direct<W: Wide, L: PairLaw<D>, const D: usize>(
     }
 }
 
-/// `∂aᵢ/∂weights` of some particles of a chunk: the pullback of each component in turn.
+/// `∂aᵢ/∂weights` of some particles of a chunk, by the pullback of one component after another.
 struct WeightPass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
@@ -239,7 +239,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for WeightPass<'_, L, D> {
     }
 }
 
-/// What one chunk of particles passes back through the pair forces.
+/// The pullback of the pair forces of one chunk of particles.
 struct PullPass<'a, L, const D: usize> {
     law: &'a L,
     hood: Hood<'a>,
@@ -251,13 +251,14 @@ struct PullPass<'a, L, const D: usize> {
 impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
     type Output = ();
 
-    /// Where the two forces of a pair are opposite, its part of the loss is `(λᵢ − λⱼ)·fᵢⱼ`, from which
-    /// each particle takes its own derivatives. Otherwise it is `λᵢ·fᵢⱼ`, of which the neighbour's
-    /// derivatives are left for it to fetch.
+    /// Where the two forces of a pair are opposite, the pair's part of the loss is `(λᵢ − λⱼ)·fᵢⱼ`,
+    /// and each particle takes the derivatives by its own state. Otherwise it is `λᵢ·fᵢⱼ`, and the
+    /// derivatives by the neighbour's state are written to `into.neighbours`.
     #[inline(always)]
     fn run<W: Wide>(self) {
         let Self { law, hood: Hood { lines, near, space }, forces, room, into } = self;
-        // A copy of its own, whose numbers stay in registers as long as its address is not taken: to drop it takes it.
+        // A local copy stays in registers as long as its address is not taken; dropping it would
+        // take the address.
         let copy = ManuallyDrop::new(law.clone());
         let law: &L = &copy;
         let both = law.is_antisymmetric();
@@ -296,7 +297,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
             drop(ManuallyDrop::into_inner(copy));
         }
         if both {
-            // Every pair was met from both ends.
+            // Every pair was evaluated from both particles.
             for sum in room.scalars.iter_mut().chain(&mut room.weights) {
                 *sum = *sum * 0.5;
             }
@@ -304,7 +305,7 @@ impl<L: PairLaw<D>, const D: usize> Pass for PullPass<'_, L, D> {
     }
 }
 
-/// What the derivatives of eight pair forces are multiplied with: `λᵢ − λⱼ` where one end of a pair knows both.
+/// The cotangent of eight pair forces: `λᵢ − λⱼ` where forces are opposite, otherwise `λᵢ`.
 #[inline(always)]
 fn across<W: Wide, const D: usize>(
     forces: &[PackedAdjoint],
@@ -323,7 +324,8 @@ fn across<W: Wide, const D: usize>(
     across
 }
 
-/// The sums of the kernel's parameters, the last of a law's scalars, in a loop of their own: few flows have them.
+/// The derivatives by the kernel's parameters, which are the last of a law's scalars. They have a
+/// loop of their own, because few flows learn them.
 #[inline(always)]
 fn pull_to_kernel<W: Wide, L: PairLaw<D>, const D: usize>(
     (law, room): (&L, &mut Room),
@@ -349,7 +351,8 @@ fn pull_to_kernel<W: Wide, L: PairLaw<D>, const D: usize>(
     }
 }
 
-/// Adds the part of a cotangent that belongs to particle `i`, and that of the parameters.
+/// Adds the part of a cotangent that belongs to particle `i`, and the derivatives by the
+/// parameters.
 #[inline(always)]
 fn add_own<W: Wide, P: Slots<W>, Q: Slots<W::Double>, const D: usize>(
     sum: &mut PairCotangent<W::Double, D, Q>,
@@ -365,7 +368,7 @@ fn add_own<W: Wide, P: Slots<W>, Q: Slots<W::Double>, const D: usize>(
     }
 }
 
-/// Leaves the parts that belong to the eight particles `j`.
+/// Writes the parts that belong to the eight particles `j`.
 #[inline(always)]
 fn leave_shares<W: Wide, P, const D: usize>(
     passed: &PairCotangent<W, D, P>,

@@ -1,4 +1,4 @@
-//! The fully physics-informed model, Eq. (7): smoothed particle hydrodynamics itself.
+//! The fully physics-informed model, Eq. (7): standard smoothed particle hydrodynamics.
 
 use super::{CentralSlope, Constitutive, FluidConstants, Medium, PairCotangent, PairLaw, Room};
 use crate::network::exp;
@@ -10,8 +10,8 @@ use crate::vector::Vector;
 /// Eq. (7): `dvᵢ/dt = −Σⱼ m (Pᵢ/ρᵢ² + Pⱼ/ρⱼ² + Πᵢⱼ) ∇ᵢWᵢⱼ`, with Tait's pressure, Eq. (20), and
 /// Monaghan's viscosity, Eq. (21). Learns any of `c, α, β, γ` (and the forcing's `θ`).
 ///
-/// The sum carries `m` and the minus that the paper's Eq. (7) leaves out; `j = i` is excluded.
-/// Momentum and pair torques are conserved to round-off (`tests/conservation.rs`).
+/// The sum includes the factor `−m`, which the paper's Eq. (7) leaves out; `j = i` is excluded.
+/// Linear momentum is conserved and pair torques cancel, to round-off (`tests/conservation.rs`).
 #[derive(Clone, Debug)]
 pub struct Physics<const D: usize>(pub Medium<D>);
 
@@ -83,7 +83,7 @@ pub(super) fn tait_stress<const D: usize>(medium: &Medium<D>, rho: Lanes) -> Lan
     state::tait_stress(rho, c, gamma, p0)
 }
 
-/// `∂A/∂ρ`, and `∂A/∂(c, γ, p₀)` into `room.stress_by`: few inputs, one output, so by hand, with
+/// `∂A/∂ρ`, and `∂A/∂(c, γ, p₀)` into `room.stress_by`. The derivatives are written by hand, with
 /// `ρ^γ = exp(γ ln ρ)` of eight particles at once.
 pub(super) fn tait_stress_slope<const D: usize>(
     medium: &Medium<D>,

@@ -1,10 +1,10 @@
-//! A network inside a model, and the room in which one thread evaluates it.
+//! A network inside a model, and the scratch buffer in which one thread evaluates it.
 
 use crate::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
 use crate::scalar::{Lanes, Pass, Wide, dispatch};
 
-/// A network with its numbers.
+/// A network with its weights.
 #[derive(Clone, Debug)]
 pub struct Learned {
     /// Its shape.
@@ -13,40 +13,41 @@ pub struct Learned {
     pub weights: Vec<f64>,
 }
 
-/// What one thread needs to evaluate and differentiate a model: made once, used for every chunk.
+/// A thread's scratch buffer to evaluate and differentiate a model; made once, used for every
+/// chunk.
 #[derive(Clone, Debug, Default)]
 pub struct Room {
     workspace: Option<Workspace>,
-    /// What goes into the network, `[inputs]`.
+    /// Inputs of the network, `[inputs]`.
     pub input: Vec<Lanes>,
-    /// `∂L/∂` of that.
+    /// `∂L/∂inputs`.
     pub input_cotangent: Vec<Lanes>,
-    /// What comes out, `[outputs]`.
+    /// Outputs of the network, `[outputs]`.
     pub output: Vec<Lanes>,
-    /// `∂L/∂` of that.
+    /// `∂L/∂outputs`.
     pub output_cotangent: Vec<Lanes>,
-    /// `∂out/∂in`, `[outputs × inputs]`.
+    /// `∂outputs/∂inputs`, `[outputs × inputs]`.
     pub jacobian: Vec<Lanes>,
-    /// `∂L/∂` of each of the model's scalar parameters, added up lane by lane.
+    /// `∂L/∂` of each of the model's scalar parameters, summed lane by lane.
     pub scalars: Vec<Lanes>,
-    /// `∂A/∂` of each of them, of eight particles, see [`super::Constitutive::stress_slope`].
+    /// `∂A/∂` of each of them, for eight particles, see [`super::Constitutive::stress_slope`].
     pub stress_by: Vec<Lanes>,
     /// Sums over the pairs of one particle, see [`super::Slopes`].
     pub(super) direct: Vec<Lanes>,
-    /// `∂L/∂weights`, added up lane by lane.
+    /// `∂L/∂weights`, summed lane by lane.
     pub weights: Vec<Lanes>,
     /// `∂aᵢ/∂weights` of a few particles, see [`super::Model::weight_shares`].
     pub shares: Vec<f64>,
-    /// Particles in order of distance, see [`super::Node`].
+    /// Candidates for the nearest neighbours of a particle, by distance, see [`super::Node`].
     pub candidates: Vec<(f64, u32)>,
-    /// The nearest of each of eight particles: places among those who are near.
+    /// The nearest neighbours of each of eight particles: places in the lists of `near`.
     pub nearest: Vec<u32>,
-    /// Who is near the particles of a chunk.
+    /// The neighbours within the support of the particles of a chunk.
     pub near: Near,
 }
 
 impl Room {
-    /// Room for a model with a number of scalar parameters and this network, or with none.
+    /// A buffer for a model with this number of scalar parameters and this network, if any.
     pub fn new(scalars: usize, network: Option<&Learned>) -> Self {
         let zeros = |count: usize| vec![Lanes::ZERO; count];
         let plain = Self { scalars: zeros(scalars), stress_by: zeros(scalars), ..Self::default() };
@@ -63,13 +64,13 @@ impl Room {
         }
     }
 
-    /// Forgets the sums over parameters.
+    /// Sets the sums over parameters to zero.
     pub fn clear(&mut self) {
         self.scalars.fill(Lanes::ZERO);
         self.weights.fill(Lanes::ZERO);
     }
 
-    /// Writes the sums over the parameters, scalars first, as many as are asked for.
+    /// Writes the sums over the parameters, scalars first, until `sums` is full.
     pub fn write_sums(&self, into: &mut [f64]) {
         let all = self.scalars.iter().chain(&self.weights);
         into.iter_mut().zip(all).for_each(|(sum, lanes)| *sum = lanes.sum());
@@ -82,21 +83,21 @@ impl Learned {
         Self { shape, weights: vec![0.0; shape.parameter_count()] }
     }
 
-    /// `room.output` for `room.input`.
+    /// Evaluates `room.output` for `room.input`.
     pub fn value(&self, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         let (input, output) = (&room.input, &mut room.output);
         dispatch(Value { network: self, workspace, input, output });
     }
 
-    /// `room.jacobian` of the last [`Learned::value`].
+    /// Computes `room.jacobian` of the last [`Learned::value`].
     pub fn jacobian(&self, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         dispatch(Jacobian { network: self, workspace, into: &mut room.jacobian });
     }
 
-    /// From `room.output_cotangent`, `room.input_cotangent` of the last [`Learned::value`], and what
-    /// the weights' sums gain.
+    /// The pullback of the last [`Learned::value`]: computes `room.input_cotangent` from
+    /// `room.output_cotangent`, and adds to the sums over weights.
     pub fn pullback(&self, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         let into = Cotangents { input: &mut room.input_cotangent, parameters: &mut room.weights };
@@ -104,7 +105,8 @@ impl Learned {
         dispatch(Pullback { network: self, workspace, output, into });
     }
 
-    /// `∂out/∂weights` of one output of the last [`Learned::value`], in place of the weights' sums.
+    /// `∂out/∂weights` of one output of the last [`Learned::value`]; overwrites the sums over
+    /// weights.
     pub fn weight_gradient(&self, output: usize, room: &mut Room) {
         let Some(workspace) = &mut room.workspace else { return };
         let into = &mut room.weights;
@@ -112,8 +114,8 @@ impl Learned {
     }
 }
 
-// Each of the four is compiled once for every instruction set, not once for every model and dimension
-// that calls it: a call costs little beside a network, and the compiler is spared most of its work.
+// Each of the four is compiled once for every instruction set, not once for every model and
+// dimension that calls it. A call is cheap compared with a network, and compilation is much faster.
 
 struct Value<'a> {
     network: &'a Learned,

@@ -1,4 +1,4 @@
-//! A learned strength of central forces, Eq. (4): rotations change nothing.
+//! A learned coefficient of central forces, Eq. (4): invariant under rotations.
 
 use super::physics::{tait_stress, tait_stress_slope};
 use super::scales::Units;
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub struct Options {
     /// Units in each hidden layer.
     pub height: usize,
-    /// Whether the network sees the two stresses symmetrically, so that forces are opposite.
+    /// Whether the network depends symmetrically on the two `A`, so that forces are opposite.
     pub antisymmetric: bool,
     /// Whether the force ends smoothly at `2h`, see [`Window`].
     pub window: bool,
@@ -27,8 +27,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Height 5 and the features of the paper's Eq. (4) (61 parameters; the paper counts 66, its code has
-    /// a fifth input), with a smooth window.
+    /// Height 5 and the features of the paper's Eq. (4), with a smooth window. It has 61
+    /// parameters; the paper counts 66, because its code has a fifth input.
     fn default() -> Self {
         Self { height: 5, antisymmetric: false, window: true, scales: Scales::default() }
     }
@@ -37,8 +37,8 @@ impl Default for Options {
 /// Eq. (4): `aᵢ = Σⱼ (F/h) w(r) NN(Aᵢ/S, Aⱼ/S, vᵢⱼ·rᵢⱼ/(h V), r/h) rᵢⱼ`, `A = P/ρ²` of Tait's fluid; with
 /// `antisymmetric`, `NN((Aᵢ + Aⱼ)/2S, (Aᵢ − Aⱼ)²/S², …)`.
 ///
-/// `4 → l → l → 1`. Central, so pair torques vanish where forces are opposite; as the paper prints it,
-/// they are not, and momentum is not conserved; with `antisymmetric` it is.
+/// `4 → l → l → 1`. The force is central. As printed in the paper, pair forces are not opposite and
+/// momentum is not conserved. With `antisymmetric` momentum is conserved and pair torques cancel.
 #[derive(Clone, Debug)]
 pub struct RotInv<const D: usize> {
     medium: Medium<D>,
@@ -49,7 +49,7 @@ pub struct RotInv<const D: usize> {
 }
 
 impl<const D: usize> RotInv<D> {
-    /// The model of a medium.
+    /// The model of a fluid.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a network without units.
@@ -74,7 +74,7 @@ impl<const D: usize> RotInv<D> {
         W::load(&room.output[0])
     }
 
-    /// `(s, slope)` from the derivative of `s` by the network's inputs, `by_input`, and through the
+    /// `(s, slope)` from the derivative of `s` by the network's inputs, `by_input`, and by the
     /// window, `by_window`.
     #[inline(always)]
     fn gather<W: Wide>(
@@ -114,7 +114,7 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
 
     medium_and_network!("rot-inv");
 
-    /// `c`: what the network makes of other densities is not known before it has learned.
+    /// `c`, because the learned force at other densities is unknown before training.
     fn sound_speed(&self, _: f64) -> f64 {
         self.medium.fluid.c.abs()
     }
@@ -174,7 +174,7 @@ impl<const D: usize> PairLaw<D> for RotInv<D> {
         let along = force.dot(pairs.separation);
         room.output_cotangent[0] = (along * window * scale).store();
         self.network.pullback(room);
-        // The derivatives by the inputs carry `along` already.
+        // The derivatives by the inputs already include the factor `along`.
         let by = self.gather(pairs, value * window, value * by_r2 * along, &room.input_cotangent);
         PairCotangent {
             separation: force * by.value + by.by_separation,

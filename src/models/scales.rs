@@ -1,37 +1,37 @@
-//! The constants that make a network's inputs and outputs numbers of order one.
+//! The constants that scale a network's inputs and outputs to order one.
 
 use super::Medium;
 use serde::{Deserialize, Serialize};
 
-/// What a scene says about the size of things; recorded with it, never fitted.
+/// Typical sizes given by a scene; recorded with it, never fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scales {
-    /// Size of a velocity difference.
+    /// Typical velocity difference.
     pub velocity: f64,
-    /// Size of `ρ − 1`.
+    /// Typical `ρ − 1`.
     pub compression: f64,
 }
 
 impl Default for Scales {
-    /// Unit velocities, densities within five per cent.
+    /// Velocity differences of 1, densities within five per cent.
     fn default() -> Self {
         Self { velocity: 1.0, compression: 0.05 }
     }
 }
 
-/// The scales of a medium.
+/// The scales of a fluid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Units {
-    /// `h`.
+    /// Of a length: `h`.
     pub(super) length: f64,
     /// Of a velocity difference.
     pub(super) velocity: f64,
     /// Of `ρ − 1`.
     pub(super) compression: f64,
-    /// Of `A`: the pressure at that compression, `c² (ρ − 1)`.
+    /// Of `A`: the pressure at a typical compression, `c² (ρ − 1)`.
     pub(super) stress: f64,
-    /// Of a pair's acceleration: that stress times `m |W'(h)|`.
+    /// Of a pair's acceleration: the scale of `A` times `m |W'(h)|`.
     pub(super) force: f64,
 }
 

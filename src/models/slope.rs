@@ -1,4 +1,4 @@
-//! The linearised pair force: applied to columns of parameters forwards, transposed backwards.
+//! The linearised pair force: applied to columns of parameters forwards, and transposed backwards.
 
 use super::Strength;
 use super::tangent::{CentralRows, EightPairs, GeneralRows, PairRows};
@@ -23,24 +23,24 @@ impl<W: Wide, const P: usize> Slots<W> for [W; P] {
 
 /// The derivative of the forces of eight pairs by the states of their particles and by parameters.
 pub trait Slope<W: Wide, const D: usize> {
-    /// How each of the pairs stands in memory.
+    /// How the derivative of each pair is stored.
     type Rows: PairRows<D>;
     /// One number for each of the law's first parameters.
     type ByParameter: Slots<W>;
 
-    /// Puts the pairs there, one after another.
+    /// Writes the derivatives of the eight pairs, one after another.
     fn write(&self, pairs: &mut EightPairs);
 
-    /// `∂f/∂ρᵢ` and `∂f/∂Aᵢ` as far as the rows do not hold them; zero by default.
+    /// The part of `∂f/∂ρᵢ` and `∂f/∂Aᵢ` that is not stored in the rows; zero by default.
     #[inline(always)]
     fn by_own_scalars(&self) -> [Vector<W, D>; 2] {
         [Vector::zero(); 2]
     }
 
-    /// Adds `∂f` by each of the law's first parameters to as many sums, `[parameter][axis]`.
+    /// Adds `∂f` by each of the law's first parameters to sums, `[parameter][axis]`.
     fn add_by_parameter(&self, sums: &mut [Lanes]);
 
-    /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by what they depend on.
+    /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by state and parameters.
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, Self::ByParameter>;
 }
 
@@ -58,14 +58,14 @@ pub struct Change<W, const D: usize> {
 }
 
 impl<W: Wide, const D: usize> Change<W, D> {
-    /// None.
+    /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
         let (zero, none) = (W::of(0.0), Vector::zero());
         Self { position: none, velocity: none, density: zero, stress: zero }
     }
 
-    /// From memory.
+    /// Loads them from memory.
     #[inline(always)]
     pub fn load(memory: &PackedSensitivity<D>) -> Self {
         Self {
@@ -77,7 +77,7 @@ impl<W: Wide, const D: usize> Change<W, D> {
     }
 }
 
-/// `∂L/∂` of what eight pairs depend on.
+/// `∂L/∂` of the states and parameters of eight pairs.
 #[derive(Clone, Copy, Debug)]
 pub struct PairCotangent<W, const D: usize, P = [W; 0]> {
     /// By `rᵢⱼ`.
@@ -86,14 +86,14 @@ pub struct PairCotangent<W, const D: usize, P = [W; 0]> {
     pub velocity: Vector<W, D>,
     /// By `Aᵢ` and `Aⱼ`.
     pub stress: [W; 2],
-    /// By `ρᵢ` and `ρⱼ`, at fixed stress.
+    /// By `ρᵢ` and `ρⱼ`, at fixed `A`.
     pub density: [W; 2],
-    /// By the law's first parameters, at fixed stress.
+    /// By the law's first parameters, at fixed `A`.
     pub parameters: P,
 }
 
 impl<W: Wide, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
-    /// No dependence.
+    /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
         let zero = W::of(0.0);
@@ -107,7 +107,8 @@ impl<W: Wide, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
     }
 }
 
-/// The slope of a central force `f = s rᵢⱼ`: `δf = s δrᵢⱼ + rᵢⱼ δs`, `δs` linear in everything.
+/// The derivative of a central force `f = s rᵢⱼ`: `δf = s δrᵢⱼ + rᵢⱼ δs`, where `δs` is linear in
+/// all changes.
 #[derive(Clone, Copy, Debug)]
 pub struct CentralSlope<W, const D: usize, P = [W; 0]> {
     /// `rᵢⱼ`.
@@ -120,14 +121,14 @@ pub struct CentralSlope<W, const D: usize, P = [W; 0]> {
     pub by_velocity: Vector<W, D>,
     /// `∂s/∂Aᵢ`, `∂s/∂Aⱼ`.
     pub by_stress: [W; 2],
-    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed stress.
+    /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed `A`.
     pub by_density: W,
-    /// `∂s` by the law's first parameters, at fixed stress.
+    /// `∂s` by the law's first parameters, at fixed `A`.
     pub by_parameter: P,
 }
 
 impl<W: Wide, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
-    /// From the gradient of a strength that depends on `r²` and `v·r`.
+    /// From the gradient of a coefficient that depends on `r²` and `v·r`.
     #[inline(always)]
     pub fn new(pairs: &Batch<W, D>, s: &Strength<W, P>, by_stress: [W; 2]) -> Self {
         let (r, v) = (pairs.separation, pairs.velocity);
@@ -151,7 +152,7 @@ pub(super) fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<
     }
 }
 
-/// Every component from memory.
+/// Loads every component.
 #[inline(always)]
 pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) -> Vector<W, D> {
     let mut vector = Vector::zero();
@@ -161,7 +162,7 @@ pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) ->
     vector
 }
 
-/// Every component to memory.
+/// Stores every component.
 #[inline(always)]
 pub(super) fn store_vector<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<Lanes, D> {
     let mut stored = Vector([Lanes::ZERO; D]);
@@ -218,16 +219,16 @@ impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P>
     }
 }
 
-/// The slope of a force of any direction that depends on anything of its pair; row `a` of a matrix is the
-/// derivative of component `a`. With [`MatrixRows`](super::MatrixRows) in place of [`GeneralRows`] densities and
-/// stresses are left out.
+/// The derivative of a force of any direction by the full state of its pair. Row `a` of a matrix is
+/// the derivative of component `a`. With [`MatrixRows`](super::MatrixRows) in place of
+/// [`GeneralRows`] the derivatives by density and `A` are left out.
 #[derive(Clone, Copy, Debug)]
 pub struct GeneralSlope<W, const D: usize, const P: usize = 0, R = GeneralRows> {
     /// `∂f/∂rᵢⱼ`.
     pub by_separation: [Vector<W, D>; D],
     /// `∂f/∂vᵢⱼ`.
     pub by_velocity: [Vector<W, D>; D],
-    /// `∂f/∂ρᵢ` and `∂f/∂ρⱼ`, at fixed stress.
+    /// `∂f/∂ρᵢ` and `∂f/∂ρⱼ`, at fixed `A`.
     pub by_density: [Vector<W, D>; 2],
     /// `∂f/∂Aᵢ` and `∂f/∂Aⱼ`.
     pub by_stress: [Vector<W, D>; 2],
@@ -237,7 +238,7 @@ pub struct GeneralSlope<W, const D: usize, const P: usize = 0, R = GeneralRows> 
 }
 
 impl<W: Wide, R, const D: usize, const P: usize> GeneralSlope<W, D, P, R> {
-    /// No dependence.
+    /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
         let none = Vector::zero();

@@ -1,9 +1,9 @@
-//! The tangent of the force: a chunk's pairs linearised once, then applied to one block of parameters after
-//! another.
+//! The tangent of the force: a chunk's pairs are linearised once, and then applied to one block of
+//! parameters after another.
 //!
-//! `δaᵢ = Σⱼ δfᵢⱼ` is linear in what both particles bring, and what particle `i` itself brings comes out of
-//! the sum: an [`OwnSlope`] for each particle. What stays with each pair is what its neighbour brings, and
-//! only pairs within `2h` are kept.
+//! `δaᵢ = Σⱼ δfᵢⱼ` is a block-sparse matrix times the changes of all particles. The diagonal block,
+//! the derivative by particle `i`'s own state, is one [`OwnSlope`] per particle. The off-diagonal
+//! blocks, the derivatives by a neighbour's state, are stored for each pair within `2h`.
 
 use super::{Change, Kept, load_vector, store_vector};
 use crate::packed::PackedSensitivity;
@@ -13,27 +13,27 @@ use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use std::fmt::Debug;
 
-/// Most rows of a pair.
+/// Rows of a pair, maximum.
 pub(super) const MOST_ROWS: usize = 3;
 
-/// Eight pairs one after another, each in the first [`PairRows::ROWS`] of its rows.
+/// Eight pairs one after another, each stored in its first [`PairRows::ROWS`] rows.
 pub type EightPairs = [[Lanes; MOST_ROWS]; WIDTH];
 
-/// How the slope of one pair stands in memory, in rows of eight numbers.
+/// The storage of one pair's derivative, in rows of eight numbers.
 pub trait PairRows<const D: usize>: Debug {
-    /// Which they are.
+    /// The form.
     const FORM: Form;
-    /// Rows of a pair.
+    /// Rows per pair.
     const ROWS: usize;
 
-    /// Adds to a particle's own slope what one of its pairs gives.
+    /// Adds a pair's derivative by the particle's own state to the diagonal block.
     fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>);
 
-    /// Adds `δfᵢⱼ` as far as it comes from the neighbour, for eight parameters at once.
+    /// Adds the neighbour's part of `δfᵢⱼ`, for eight parameters at once.
     fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>);
 
-    /// Where a neighbour's own sensitivities are dropped: of `δρⱼ` only what particle `i` itself gives
-    /// remains, `pull(r) rᵢⱼ·δrᵢ`, of `δAⱼ` that and the explicit dependence on the parameters.
+    /// Drops a neighbour's own sensitivities. Two parts remain: of `δρⱼ` the part due to particle
+    /// `i`, `pull(r) rᵢⱼ·δrᵢ`; and of `δAⱼ` that part and the direct dependence on the parameters.
     fn leave_alone<W: Wide>(
         rows: &mut [Lanes],
         by_density: f64,
@@ -42,41 +42,42 @@ pub trait PairRows<const D: usize>: Debug {
     );
 }
 
-/// A central pair: a row of `∂s/∂(r, v, ρ, A)`, the last of particle `i`, and a row of `rᵢⱼ`, `s` and `∂s/∂Aⱼ`.
+/// A central pair: a row of `∂s/∂(r, v, ρ, Aᵢ)`, and a row of `rᵢⱼ`, `s` and `∂s/∂Aⱼ`.
 #[derive(Clone, Copy, Debug)]
 pub struct CentralRows;
 
-/// A pair of any direction: for each component a row of its derivatives by `rᵢⱼ` and `vᵢⱼ`.
+/// A force of any direction: for each component a row of its derivatives by `rᵢⱼ` and `vᵢⱼ`.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixRows;
 
-/// A pair of any direction: for each component a row of its derivatives by `rᵢⱼ`, `vᵢⱼ`, `ρⱼ` and `Aⱼ`.
+/// A force of any direction: for each component a row of its derivatives by `rᵢⱼ`, `vᵢⱼ`, `ρⱼ` and
+/// `Aⱼ`.
 #[derive(Clone, Copy, Debug)]
 pub struct GeneralRows;
 
-/// Lane of `∂/∂ρ` in a row by the state; `∂/∂Aᵢ` is the next.
+/// Lane of `∂/∂ρ` in a row of derivatives by the state; `∂/∂A` is the next lane.
 const fn of_density(dimension: usize) -> usize {
     2 * dimension
 }
 
-/// `∂aᵢ` by what particle `i` itself brings, component by component.
+/// The diagonal block: `∂aᵢ` by the state of particle `i`, component by component.
 #[derive(Clone, Copy, Debug)]
 pub struct OwnSlope<W, const D: usize> {
     /// By `rᵢ`, `vᵢ`, `ρᵢ` and `Aᵢ`, lane after lane.
     by_state: Vector<W, D>,
-    /// `Σⱼ s`, which belongs to the diagonal.
+    /// `Σⱼ s`, to be added to the diagonal.
     value: f64,
 }
 
 impl<W: Wide, const D: usize> OwnSlope<W, D> {
-    /// No dependence.
+    /// Zero.
     #[inline(always)]
     pub(super) fn zero() -> Self {
         Self { by_state: Vector::zero(), value: 0.0 }
     }
 
-    /// Puts the sum of the strengths on the diagonal: by whole registers, since numbers taken out of one would
-    /// take the sums apart.
+    /// Adds the sum of the coefficients to the diagonal. It works on whole registers, because
+    /// extracting single numbers would break up the sums.
     #[inline(always)]
     fn complete(&mut self) {
         for axis in 0..D {
@@ -86,7 +87,7 @@ impl<W: Wide, const D: usize> OwnSlope<W, D> {
 }
 
 impl<const D: usize> OwnSlope<Lanes, D> {
-    /// What particle `i` itself brings to `δaᵢ`, for eight parameters at once.
+    /// Adds the part of `δaᵢ` due to particle `i`'s own changes, for eight parameters at once.
     #[inline(always)]
     fn add_to<W: Wide>(&self, own: &Change<W, D>, sum: &mut Vector<W, D>) {
         for axis in 0..D {
@@ -193,7 +194,8 @@ impl<const D: usize> PairRows<D> for GeneralRows {
     const FORM: Form = Form::General;
     const ROWS: usize = D;
 
-    /// By `rᵢ` and `vᵢ`; those by `ρᵢ` and `Aᵢ` come from [`Slope::by_own_scalars`](super::Slope::by_own_scalars).
+    /// By `rᵢ` and `vᵢ`. The derivatives by `ρᵢ` and `Aᵢ` come from
+    /// [`Slope::by_own_scalars`](super::Slope::by_own_scalars).
     #[inline(always)]
     fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
         let mut state = Lanes::ZERO;
@@ -214,7 +216,8 @@ impl<const D: usize> PairRows<D> for GeneralRows {
         }
     }
 
-    /// Of the neighbour only what its stress owes to the parameters directly remains, `δAⱼ − A'ⱼ δρⱼ`.
+    /// Of the neighbour only the direct dependence of `Aⱼ` on the parameters remains, `δAⱼ − A'ⱼ
+    /// δρⱼ`.
     #[inline(always)]
     fn leave_alone<W: Wide>(
         rows: &mut [Lanes],
@@ -231,7 +234,7 @@ impl<const D: usize> PairRows<D> for GeneralRows {
     }
 }
 
-/// Which [`PairRows`] a chunk's pairs have.
+/// Which [`PairRows`] store a chunk's pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Form {
     /// [`CentralRows`].
@@ -243,21 +246,21 @@ pub enum Form {
     General,
 }
 
-/// The linearised force on some particles: what serves every block of parameters.
+/// The linearised forces of some particles, the same for every block of parameters.
 #[derive(Clone, Debug, Default)]
 pub struct Slopes {
     form: Form,
-    /// Of each particle its [`OwnSlope`], row by row.
+    /// The [`OwnSlope`] of each particle, row by row.
     own: Vec<Lanes>,
-    /// Of each particle `∂a` by the law's parameters themselves, at fixed state: `[parameter][axis]`.
+    /// `∂a` of each particle by the law's parameters, at fixed state: `[parameter][axis]`.
     direct: Vec<f64>,
-    /// Where each particle's pairs start; one more at the end.
+    /// Index of each particle's first pair, and the total at the end.
     start: Vec<u32>,
-    /// The neighbour of each pair.
+    /// The neighbour's slot of each pair.
     slots: Vec<u32>,
-    /// Its rows.
+    /// The rows of each pair.
     rows: Vec<Lanes>,
-    /// How many pairs there are; what lies behind is anything.
+    /// Number of pairs; elements from here on are unused.
     filled: usize,
 }
 
@@ -269,7 +272,7 @@ impl Slopes {
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
 
-    /// Forgets everything.
+    /// Removes everything.
     #[inline(always)]
     pub(super) fn clear(&mut self, form: Form) {
         self.form = form;
@@ -280,7 +283,7 @@ impl Slopes {
         self.filled = 0;
     }
 
-    /// Makes room for eight more pairs of so many rows.
+    /// Makes room for eight more pairs of `rows` rows each.
     #[inline(always)]
     fn make_room(&mut self, rows: usize) {
         if self.slots.len() < self.filled + WIDTH || self.rows.len() < (self.filled + WIDTH) * rows
@@ -291,7 +294,7 @@ impl Slopes {
         }
     }
 
-    /// Adds eight pairs to the particle that is under way, as far as they are somebody's: nobody comes last.
+    /// Adds up to eight pairs to the current particle. Sentinels, which come last, are not counted.
     #[inline(always)]
     pub(super) fn push<R: PairRows<D>, const D: usize>(
         &mut self,
@@ -305,11 +308,11 @@ impl Slopes {
         for (rows, pair) in rows.chunks_exact_mut(R::ROWS).zip(pairs) {
             rows.copy_from_slice(&pair[..R::ROWS]);
         }
-        // Nobody is overwritten.
+        // The next call overwrites the sentinels.
         self.filled += others.count(nobody);
     }
 
-    /// Adds a pair to the particle that is under way.
+    /// Adds a pair to the current particle.
     #[inline(always)]
     pub(super) fn push_one(&mut self, slot: u32, rows: &[Lanes]) {
         self.make_room(rows.len());
@@ -318,8 +321,9 @@ impl Slopes {
         self.filled += 1;
     }
 
-    /// Ends a particle: `pull` is `m G` at a distance, `direct` what does not stand in the rows, `[axis]` by `ρᵢ`, by
-    /// `Aᵢ` and by each parameter; empty where none of it is needed.
+    /// Completes the current particle. `pull` is `m G` at a distance. `direct` holds the
+    /// derivatives that are not stored in rows, `[axis]` by `ρᵢ`, by `Aᵢ` and by each parameter; it
+    /// may be empty if none is needed.
     #[inline(always)]
     pub(super) fn close<W: Wide, R: PairRows<D>, const D: usize>(
         &mut self,
@@ -351,7 +355,7 @@ impl Slopes {
         self.start.push(self.filled as u32);
     }
 
-    /// What the `k`-th particle itself brings.
+    /// The diagonal block of the `k`-th particle.
     #[inline(always)]
     fn own<const D: usize>(&self, k: usize) -> OwnSlope<Lanes, D> {
         let mut own = OwnSlope { by_state: Vector([Lanes::ZERO; D]), value: 0.0 };
@@ -359,7 +363,7 @@ impl Slopes {
         own
     }
 
-    /// Adds what the parameters bring to `δa` of the `k`-th particle by themselves.
+    /// Adds the direct dependence of the `k`-th particle's `δa` on the parameters.
     #[inline(always)]
     fn add_direct<W: Wide, const D: usize>(
         &self,
@@ -377,9 +381,9 @@ impl Slopes {
         }
     }
 
-    /// `δa` of these particles, from slot `first` on, for one block of parameters, which `directions` says for each of the
-    /// law's; added to `out`. The
-    /// sensitivities of the block that is `next`, if there is one, are asked for meanwhile.
+    /// Adds to `out` the `δa` of these particles, from slot `first` on, for one block of
+    /// parameters. `directions` gives the derivative of each of the law's parameters by those of
+    /// the block. Prefetches the sensitivities of the `next` block, if there is one.
     pub fn add_tangents<const D: usize>(
         &self,
         first: usize,

@@ -1,13 +1,13 @@
-//! How a pair term without a kernel of its own ends at `2h`.
+//! The cutoff at `2h` of pair terms that have no kernel.
 
 use crate::scalar::Scalar;
 
-/// The factor on a pair term, from one where two particles meet to zero at the end of the support.
+/// The factor on a pair term: one at zero distance, zero at the end of the support.
 ///
 /// | window | recommended | price |
 /// |---|---|---|
-/// | smooth, `w = (1 − r²/4h²)₊²` | yes, default | the network must make up for `w` inside |
-/// | sharp, `w = 1` inside | to compare with published networks | a particle that enters the support gives its neighbour a jerk, which no gradient sees |
+/// | smooth, `w = (1 − r²/4h²)₊²` | yes, default | the network must compensate for `w` inside the support |
+/// | sharp, `w = 1` inside | to compare with published networks | the force jumps where a neighbour enters the support, and no gradient contains the jump |
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// `4h²`.

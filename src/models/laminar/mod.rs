@@ -1,12 +1,12 @@
-//! Laminar viscosity: a pair law of its own beside the model, with a kinematic viscosity `ν` that can be learned.
+//! Laminar viscosity: an additional pair law with a kinematic viscosity `ν` that can be learned.
 //!
 //! | `kind` | force | linear momentum | angular momentum |
 //! |---|---|---|---|
 //! | [`Morris`] | along `vᵢⱼ` | kept | not kept |
 //! | [`MonaghanCleary`] | along `rᵢⱼ` | kept | kept |
 //!
-//! How close the viscosity that acts comes to the `ν` that is asked for, by `h/Δx` and resolution:
-//! `cargo bench --bench viscosity`.
+//! The effective viscosity is compared with `ν`, by `h/Δx` and resolution, in `cargo bench --bench
+//! viscosity`.
 
 mod monaghan_cleary;
 mod morris;
@@ -18,7 +18,8 @@ use super::{Medium, Model};
 use crate::parameters::{Domain, Parameter, ParameterSpec};
 use serde::{Deserialize, Serialize};
 
-/// Keeps a quotient by `r² + ε h²` finite where two particles meet.
+/// Regularisation `ε` in units of `h²`: keeps a quotient by `r² + ε h²` finite where two particles
+/// coincide.
 const EPSILON: f64 = 0.01;
 
 /// The laminar viscosities: each line is a file, a type and a `kind` in scenes.
@@ -57,7 +58,7 @@ macro_rules! laminar {
                 }
             }
 
-            /// The law in a medium, with its name.
+            /// The law in a fluid, with its name.
             pub(crate) fn law<const D: usize>(
                 self,
                 medium: Medium<D>,
@@ -88,8 +89,8 @@ fn spec(nu: f64) -> ParameterSpec {
     ParameterSpec::new(Parameter::named("nu"), nu).within(Domain::NonNegative)
 }
 
-/// The accessors of a law that keeps a `medium` and `nu` under these names; its parameters are `ν` and those of the
-/// kernel.
+/// The accessors of a law with the fields `medium` and `nu`. Its parameters are `ν` and those of
+/// the kernel.
 macro_rules! medium_and_nu {
     ($kind:literal) => {
         fn name(&self) -> &str {

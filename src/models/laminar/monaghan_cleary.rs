@@ -11,9 +11,9 @@ use crate::vector::Vector;
 
 /// `aᵢ = Σⱼ m 2(d+2) ν/ρ̄ · vᵢⱼ·rᵢⱼ/(r² + 0.01 h²) ∇ᵢWᵢⱼ`, `ν` the kinematic viscosity, `ρ̄ = (ρᵢ + ρⱼ)/2`.
 ///
-/// Central and opposite: linear and angular momentum are kept to round-off. The factor `2(d+2)/ρ̄` makes it
-/// `ν(∇²v + 2∇∇·v)`, which is `ν∇²v` where nothing is compressed; decaying Taylor–Green flow in two dimensions confirms it
-/// (`cargo bench --bench viscosity`).
+/// The force is central and opposite: linear and angular momentum are conserved to round-off. The
+/// factor `2(d+2)/ρ̄` makes it `ν(∇²v + 2∇∇·v)`, which is `ν∇²v` in incompressible flow. Decaying
+/// Taylor–Green flow in two dimensions confirms it (`cargo bench --bench viscosity`).
 #[derive(Clone, Debug)]
 pub struct MonaghanCleary<const D: usize> {
     medium: Medium<D>,
@@ -21,7 +21,7 @@ pub struct MonaghanCleary<const D: usize> {
 }
 
 impl<const D: usize> MonaghanCleary<D> {
-    /// With a viscosity `ν` in a medium.
+    /// With a viscosity `ν` in a fluid.
     pub fn new(medium: Medium<D>, nu: f64) -> Self {
         Self { medium, nu }
     }

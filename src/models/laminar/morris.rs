@@ -9,7 +9,8 @@ use crate::vector::Vector;
 
 /// `aᵢ = Σⱼ m 2ν rᵢⱼ·∇ᵢWᵢⱼ/(ρ̄ (r² + 0.01 h²)) vᵢⱼ`, `ν` the kinematic viscosity, `ρ̄ = (ρᵢ + ρⱼ)/2`.
 ///
-/// Opposite for the two particles, so linear momentum is kept to round-off; not central, so angular momentum is not.
+/// The force is opposite for the two particles, so that linear momentum is conserved to round-off.
+/// It is not central, so that angular momentum is not conserved.
 #[derive(Clone, Debug)]
 pub struct Morris<const D: usize> {
     medium: Medium<D>,
@@ -28,7 +29,7 @@ struct Weight<W> {
 }
 
 impl<const D: usize> Morris<D> {
-    /// With a viscosity `ν` in a medium.
+    /// With a viscosity `ν` in a fluid.
     pub fn new(medium: Medium<D>, nu: f64) -> Self {
         Self { medium, nu }
     }
