@@ -16,8 +16,8 @@ pub const AT_ONCE: usize = 4;
 /// Size of all particle lines, in bytes, up to which they fit the cache and prefetching is skipped.
 const FITS_CACHE: usize = 4 << 20;
 
-/// Prefetch distance in slots: while slot `k` is processed, the lines of the neighbours of slot `k
-/// + AHEAD` are prefetched.
+/// Prefetch distance in slots: while slot `k` is processed, the lines of the neighbours of slot
+/// `k + AHEAD` are prefetched.
 pub const AHEAD: usize = 4;
 
 /// The neighbour lists of [`CHUNK`] consecutive slots.

@@ -17,8 +17,8 @@ pub struct Viscosity<T> {
     pub beta: T,
 }
 
-/// `Πᵢⱼ = (−α c μ + β μ²)/ρ̄`, Eq. (21), while the pair approaches, and zero while it recedes; `μ =
-/// h vᵢⱼ·rᵢⱼ/(r² + 0.01 h²)`, `ρ̄ = (ρᵢ + ρⱼ)/2`.
+/// `Πᵢⱼ = (−α c μ + β μ²)/ρ̄`, Eq. (21), while the pair approaches, and zero while it recedes;
+/// `μ = h vᵢⱼ·rᵢⱼ/(r² + 0.01 h²)`, `ρ̄ = (ρᵢ + ρⱼ)/2`.
 ///
 /// The force acts along `rᵢⱼ`, so that it conserves linear and angular momentum, and it only
 /// dissipates energy (`tests/conservation.rs`). It is continuous but not smooth at `vᵢⱼ·rᵢⱼ = 0`,

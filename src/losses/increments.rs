@@ -179,8 +179,8 @@ impl Density1d {
     /// by the predicted samples, including those through bandwidth and floor.
     ///
     /// It is zero for the truth itself, and never below `−1e-6`. With `cₘ`, the trapezoidal weight
-    /// times `G/Ĝ` at node `m`: `∂L/∂x̂ₖ = −Σₘ cₘ ∂Ĝₘ/∂x̂ₖ`, where `∂b/∂x̂ₖ = b (x̂ₖ − mean)/((N −
-    /// 1) variance)`.
+    /// times `G/Ĝ` at node `m`: `∂L/∂x̂ₖ = −Σₘ cₘ ∂Ĝₘ/∂x̂ₖ`, where
+    /// `∂b/∂x̂ₖ = b (x̂ₖ − mean)/((N − 1) variance)`.
     ///
     /// # Errors
     /// [`Error::Input`] for no sample or one that is not finite.

@@ -28,9 +28,9 @@ impl FluidConstants {
     /// Number of constants. They are the first parameters of every model, in this order.
     pub const COUNT: usize = 5;
 
-    /// The constants as parameters. The pressure near the reference density is `c²(ρ−1) + ½(c²γ −
-    /// c²)(ρ−1)² + …`, and the viscosity is linear in `αc` and `β`: over one step the force is
-    /// nearly linear in `(c², αc, β, c²γ, p₀)`.
+    /// The constants as parameters. The pressure near the reference density is
+    /// `c²(ρ−1) + ½(c²γ − c²)(ρ−1)² + …`, and the viscosity is linear in `αc` and `β`: over one
+    /// step the force is nearly linear in `(c², αc, β, c²γ, p₀)`.
     pub fn specs(&self) -> [ParameterSpec; Self::COUNT] {
         let times = |power| Coordinate::Times(Parameter::C, power);
         [
@@ -186,8 +186,8 @@ impl<const D: usize> Medium<D> {
         CentralSlope::new(pairs, &s, [s.by_stress; 2])
     }
 
-    /// `∂f/∂p` by a parameter of the kernel's shape, for eight pairs with sums `X`: `−m (X + Πᵢⱼ)
-    /// ∂G/∂p rᵢⱼ`.
+    /// `∂f/∂p` by a parameter of the kernel's shape, for eight pairs with sums `X`:
+    /// `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`.
     #[inline(always)]
     pub fn by_kernel<W: Wide>(
         &self,

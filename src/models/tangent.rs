@@ -216,8 +216,8 @@ impl<const D: usize> PairRows<D> for GeneralRows {
         }
     }
 
-    /// Of the neighbour only the direct dependence of `Aⱼ` on the parameters remains, `δAⱼ − A'ⱼ
-    /// δρⱼ`.
+    /// Of the neighbour only the direct dependence of `Aⱼ` on the parameters remains,
+    /// `δAⱼ − A'ⱼ δρⱼ`.
     #[inline(always)]
     fn leave_alone<W: Wide>(
         rows: &mut [Lanes],

@@ -120,8 +120,8 @@ impl Pass for Spread<'_> {
     }
 }
 
-/// For each sample of a chunk `Σₘ wₘ e^{−u²/2} u` over the nodes, and in total `Σ wₘ e^{−u²/2} (u²
-/// − 1)`; `weights` is padded by eight zeros.
+/// For each sample of a chunk `Σₘ wₘ e^{−u²/2} u` over the nodes, and in total
+/// `Σ wₘ e^{−u²/2} (u² − 1)`; `weights` is padded by eight zeros.
 ///
 /// The caller sums over lanes: if it were done here, the compiler would vectorise that sum instead
 /// of the loop.

@@ -5,8 +5,8 @@
 //! | [`Morris`] | along `vᵢⱼ` | kept | not kept |
 //! | [`MonaghanCleary`] | along `rᵢⱼ` | kept | kept |
 //!
-//! The effective viscosity is compared with `ν`, by `h/Δx` and resolution, in `cargo bench --bench
-//! viscosity`.
+//! The effective viscosity is compared with `ν`, by `h/Δx` and resolution, in
+//! `cargo bench --bench viscosity`.
 
 mod monaghan_cleary;
 mod morris;
