@@ -1,11 +1,11 @@
-//! The kernel of a scene, known at run time.
+//! The kernel of a scene, chosen at run time.
 
 use super::{CubicSpline, Kernel, KernelTable, WendlandC2, WendlandC4};
 use crate::scalar::Scalar;
 use std::sync::Arc;
 
-/// Any kernel: a formula, or a table. As a [`Kernel`] it chooses anew for every eight pairs, always
-/// alike; a field loss compiled for each kernel was not faster.
+/// Any kernel: a formula, or a table. As a [`Kernel`] it branches for every eight pairs, always the
+/// same way; a field loss compiled for each kernel was not faster.
 #[derive(Clone, Debug, Default)]
 pub enum AnyKernel {
     /// [`CubicSpline`].
@@ -17,12 +17,12 @@ pub enum AnyKernel {
     WendlandC4,
     /// A learnable shape at given parameters.
     Table(Arc<KernelTable>),
-    /// Its derivative by one of its parameters: what a field made with it changes by.
+    /// The derivative of such a shape by one of its parameters, to evaluate derivatives of a field.
     Derivative(Arc<KernelTable>, usize),
 }
 
 impl AnyKernel {
-    /// The derivative by a parameter; none of a kernel without such a parameter.
+    /// The derivative by a parameter; none for a kernel without such a parameter.
     pub fn derivative(&self, parameter: usize) -> Option<Self> {
         match self {
             Self::Table(table) if parameter < table.parameters() => {
@@ -33,7 +33,7 @@ impl AnyKernel {
     }
 }
 
-/// The same call on whichever kernel it is, in numbers of a type.
+/// Calls a method on any of the kernels, in a number type.
 macro_rules! whichever {
     ($kernel:expr, $numbers:ty, $method:ident($($argument:expr),*)) => {
         match $kernel {
@@ -50,7 +50,7 @@ macro_rules! whichever {
     };
 }
 
-/// A defect of the code that runs the pass, which has not asked whether its kernel is a table: no input leads here.
+/// A bug in the caller, which did not check whether its kernel is a table: no input leads here.
 #[cold]
 #[inline(never)]
 fn without_room() -> ! {

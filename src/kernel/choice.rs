@@ -1,4 +1,4 @@
-//! The kernel as a scene spells it.
+//! The kernel as a scene specifies it.
 
 use super::{AnyKernel, NAMES, SHAPES, ShapeKind, ShapeParameter, check_positive};
 use crate::error::{Error, Result};
@@ -27,23 +27,23 @@ pub enum KernelChoice {
 /// A learnable shape with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnableKernel {
-    /// Which shape.
+    /// The shape.
     pub shape: &'static ShapeKind,
     /// Its parameters, in the order of the shape's.
     pub parameters: [f64; 2],
-    /// Whether parameters that let particles pair up are refused, see [`check_positive`].
+    /// Whether parameters with a pairing instability are refused, see [`check_positive`].
     pub positive: bool,
 }
 
 impl LearnableKernel {
-    /// A shape at the parameters it starts from.
+    /// A shape with its default parameters.
     pub fn start(shape: &'static ShapeKind) -> Self {
         let parameters = shape.parameters.map(|parameter| parameter.start);
         Self { shape, parameters, positive: false }
     }
 
-    /// Refuses parameters outside of their ranges, and those that let particles pair up where this was
-    /// asked for; `place` names the kernel in the error.
+    /// Refuses parameters outside of their ranges and, if `positive` is set, those with a pairing
+    /// instability; `place` names the kernel in the error.
     ///
     /// # Errors
     /// [`Error::Input`].
@@ -82,14 +82,14 @@ impl KernelChoice {
         }
     }
 
-    /// The kernel of a name, at the parameters it starts from.
+    /// The kernel of a name, with default parameters.
     pub fn named(name: &str) -> Option<Self> {
         let classical = [Self::CubicSpline, Self::WendlandC2, Self::WendlandC4];
         let learnable = SHAPES.iter().map(|shape| Self::Learnable(LearnableKernel::start(shape)));
         classical.into_iter().chain(learnable).find(|kernel| kernel.name() == name)
     }
 
-    /// The parameters of its shape, with their values; none of a classical kernel.
+    /// The parameters of its shape, with their values; empty for a classical kernel.
     pub fn specs(&self) -> Vec<ParameterSpec> {
         let Self::Learnable(kernel) = self else { return Vec::new() };
         let spec = |(parameter, value): (&ShapeParameter, f64)| {
@@ -99,7 +99,7 @@ impl KernelChoice {
         kernel.shape.parameters.iter().zip(kernel.parameters).map(spec).collect()
     }
 
-    /// Takes other values of them; whether that changes the kernel.
+    /// Sets the values of its parameters; returns whether that changes the kernel.
     pub fn set(&mut self, values: &[f64]) -> bool {
         let (Self::Learnable(kernel), &[a, b]) = (self, values) else { return false };
         let bits = |all: [f64; 2]| all.map(f64::to_bits);
@@ -118,7 +118,7 @@ impl KernelChoice {
         }
     }
 
-    /// As [`LearnableKernel::check`]; kernels without parameters are always right.
+    /// As [`LearnableKernel::check`]; kernels without parameters are always valid.
     ///
     /// # Errors
     /// [`Error::Input`].
@@ -149,7 +149,7 @@ impl<'de> Deserialize<'de> for KernelChoice {
     }
 }
 
-/// Reads a name or a table.
+/// Parses a name or a table.
 struct Spelling;
 
 impl<'de> Visitor<'de> for Spelling {
@@ -180,7 +180,7 @@ impl<'de> Visitor<'de> for Spelling {
     }
 }
 
-/// A kernel with what a table says of it; keys that it does not have are refused.
+/// A kernel with the parameters that a table gives; unknown keys are refused.
 fn with_parameters<E: de::Error>(
     mut choice: KernelChoice,
     positive: Option<bool>,

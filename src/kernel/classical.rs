@@ -1,10 +1,11 @@
-//! Kernels whose formula is run as it stands.
+//! Kernels evaluated by their formula.
 
 use super::Kernel;
 use crate::scalar::Scalar;
 use std::f64::consts::PI;
 
-/// Below this `q` a singular curvature is held: its factors `r²` have long underflowed to nothing.
+/// Lower bound of `q` in a singular second derivative; below it, the factors `r²` have underflowed
+/// to zero.
 const SMALLEST_Q: f64 = 1e-100;
 
 /// The cubic B-spline, `w = ¼(2−q)₊³ − (1−q)₊³` (Monaghan 1992; Eq. (12)).

@@ -1,40 +1,40 @@
-//! Fourier transforms of kernels: whether particles pair up.
+//! Fourier transforms of kernels, which decide whether particles pair up.
 //!
-//! Particles of a kernel whose transform is negative somewhere can lower their energy by forming pairs,
-//! where they have enough neighbours (Dehnen & Aly, MNRAS 425, 1068 (2012)).
+//! If a kernel's transform is negative somewhere, particles with enough neighbours can lower their
+//! energy by forming pairs (Dehnen & Aly, MNRAS 425, 1068 (2012)).
 
 use super::Kernel;
 use super::quadrature::gauss_legendre;
 use crate::error::{Error, Result};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Depth of the deepest negative lobe, relative to the transform at zero, up to which a kernel counts as
-/// positive: a sixth of the cubic spline's in three dimensions.
+/// Depth of a negative lobe, relative to the transform at zero, up to which a kernel counts as
+/// positive: a sixth of the depth for the cubic spline in three dimensions.
 pub const DEEPEST_LOBE: f64 = 1e-4;
 
-/// Largest `kh` that is searched: beyond it transforms only decay.
+/// Largest `kh` searched: beyond it transforms only decay.
 const SEARCHED: f64 = 20.0;
 
-/// Values of `kh` that are tried: sixty in a period of `2π` of `2kh`.
+/// Number of values of `kh` tried: sixty per period `2π` of `2kh`.
 const TRIED: usize = 400;
 
-/// Nodes on each half of the support: at `kh = 20` a half holds three periods.
+/// Quadrature nodes on each half of the support: at `kh = 20` a half holds three periods.
 const NODES: usize = 64;
 
-/// The lowest value of a transform.
+/// The minimum of a transform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lobe {
-    /// `Ŵ/Ŵ(0)` there, negative.
+    /// `Ŵ/Ŵ(0)` at the minimum, negative.
     pub depth: f64,
-    /// `kh` there.
+    /// `kh` of the minimum.
     pub kh: f64,
 }
 
 /// The Fourier transform of a kernel: `Ŵ(k) = 4π ∫ W r² sin(kr)/(kr) dr` in three dimensions,
 /// `2π ∫ W r J₀(kr) dr` in two; a function of `kh`, without dimension.
 ///
-/// By Gauss–Legendre quadrature on both halves of the support, which agree to `1e-12` with the analytic
-/// transform of the cubic spline, and to the table's error with that of a table.
+/// Computed by Gauss–Legendre quadrature on both halves of the support. For the cubic spline it
+/// agrees to `1e-12` with the analytic transform, for a table to the error of the table.
 #[derive(Clone, Debug)]
 pub struct Transform {
     dimension: usize,
@@ -66,7 +66,8 @@ impl Transform {
         let step = SEARCHED / TRIED as f64;
         let tried = (0..=TRIED).map(|k| k as f64 * step).map(|kh| (self.at(kh), kh));
         let (_, near) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        // One minimum within two steps: a third of the interval is cut off at a time.
+        // There is one minimum within two steps: ternary search, by a third of the interval at a
+        // time.
         let [mut low, mut high] = [near - step, near + step];
         while high - low > 1e-9 {
             let third = (high - low) / 3.0;
@@ -79,7 +80,8 @@ impl Transform {
     }
 }
 
-/// Refuses a kernel with a negative lobe deeper than [`DEEPEST_LOBE`]; `place` names it in the error.
+/// Refuses a kernel with a negative lobe deeper than [`DEEPEST_LOBE`]; `place` names the kernel in
+/// the error.
 ///
 /// # Errors
 /// [`Error::Input`], with depth and place of the lobe.
@@ -104,8 +106,8 @@ fn sinc(x: f64) -> f64 {
     if x.abs() < 1e-8 { 1.0 } else { x.sin() / x }
 }
 
-/// `J₀(x) = 2/π ∫ cos(x sin θ) dθ` over the quarter circle, by the midpoint rule: `n` points leave
-/// `J₄ₙ(x)`, less than round-off where `4n` exceeds `x` by forty.
+/// `J₀(x) = 2/π ∫ cos(x sin θ) dθ` over the quarter circle, by the midpoint rule. The error of `n`
+/// points is `J₄ₙ(x)`, which is below round-off if `4n` exceeds `x` by forty.
 fn bessel(x: f64) -> f64 {
     let n = 12 + (x / 3.0) as usize;
     let angle = |k: usize| FRAC_PI_2 * (k as f64 + 0.5) / n as f64;
@@ -141,7 +143,7 @@ mod tests {
         }
     }
 
-    /// The deepest lobe of a kernel is where and as deep as given, to the digits given.
+    /// Asserts place and depth of a kernel's deepest lobe, to the digits given.
     fn has_lobe(transform: &Transform, (depth, kh): (f64, f64)) {
         let lobe = transform.most_negative().unwrap();
         assert!((lobe.depth / depth - 1.0).abs() < 0.005, "{lobe:?}");

@@ -1,8 +1,8 @@
 //! Smoothing kernels `W(r; h)` of support `2h`, Eq. (12).
 //!
-//! With `q = r/h` every kernel here is `W = σ h⁻ᵈ w(q)`; a law needs three functions of it:
-//! `W` itself, `G = W'(r)/r` (so that `∇ᵢWᵢⱼ = G rᵢⱼ`) and `H = G'(r)/r` (so that
-//! `δG = H rᵢⱼ·δrᵢⱼ`). `G` is finite at `r = 0`, and `H r²` vanishes there.
+//! With `q = r/h` every kernel here is `W = σ h⁻ᵈ w(q)`. A law needs three functions: `W` itself,
+//! `G = W'(r)/r` (so that `∇ᵢWᵢⱼ = G rᵢⱼ`) and `H = G'(r)/r` (so that `δG = H rᵢⱼ·δrᵢⱼ`). `G` is
+//! finite at `r = 0`, and `H r²` vanishes there.
 //!
 //! | kernel | recommended | price |
 //! |---|---|---|
@@ -11,10 +11,11 @@
 //! | [`WendlandC4`] | above 100 neighbours in 3D | as C2, more so |
 //! | [`WAb`], [`W2`] | where the shape itself is learned | run from a [`KernelTable`], slower; see there |
 //!
-//! A scene says which by a [`KernelChoice`]; a run evaluates an [`AnyKernel`]. A further learnable shape
-//! is a file with a [`LearnableShape`] and a line in the list below. Whether a kernel lets particles
-//! pair up is told by its [`Transform`]. Normalisation, moments and derivatives: `tests/kernels.rs`, and
-//! `tests/kernel_tables.rs` for those with a learnable shape.
+//! A scene chooses a kernel by a [`KernelChoice`]; a run evaluates an [`AnyKernel`]. To add a
+//! learnable shape, write a file with a [`LearnableShape`] and add a line to the list below. The
+//! [`Transform`] of a kernel tells whether particles pair up. Normalisation, moments and
+//! derivatives are tested in `tests/kernels.rs`, and those of learnable shapes in
+//! `tests/kernel_tables.rs`.
 
 mod any;
 mod choice;
@@ -43,7 +44,7 @@ macro_rules! learnable_shapes {
         /// Every learnable shape.
         pub static SHAPES: &[ShapeKind] = &[$(ShapeKind::of::<$shape>()),*];
 
-        /// Every kernel's name in scenes.
+        /// The names of all kernels in scenes.
         pub const NAMES: &[&str] = &[
             "cubic-spline",
             "wendland-c2",
@@ -58,37 +59,37 @@ learnable_shapes! {
     w_2::W2;
 }
 
-/// Shape of a kernel, a function of `q = r/h` alone; zero for `q ≥ 2`.
+/// Shape of a kernel, a function of `q = r/h`; zero for `q ≥ 2`.
 pub trait Kernel: Clone + Send + Sync + 'static {
-    /// `σ`, such that `W` integrates to one in `dimension` 2 or 3.
+    /// `σ`, for which `W` integrates to one in `dimension` 2 or 3.
     fn normalisation(&self, dimension: usize) -> f64;
     /// `w(q)`.
     fn value<T: Scalar>(&self, q: T) -> T;
     /// `g(q) = w'(q)/q`.
     fn gradient<T: Scalar>(&self, q: T) -> T;
-    /// `k(q) = g'(q)/q`, with `q` kept away from zero where that is singular.
+    /// `k(q) = g'(q)/q`, with a lower bound on `q` where it is singular.
     fn curvature<T: Scalar>(&self, q: T) -> T;
-    /// `g(q)` and `k(q)` at once, for less than both.
+    /// `g(q)` and `k(q)` together, at less cost than separately.
     fn slopes<T: Scalar>(&self, q: T) -> [T; 2];
 
-    /// Whether its values are looked up.
+    /// Whether it is a table.
     fn is_table(&self) -> bool {
         false
     }
 
-    /// How many parameters the shape has.
+    /// Number of parameters of the shape.
     #[inline(always)]
     fn parameters(&self) -> usize {
         0
     }
-    /// `∂(σ w)/∂p / σ` at fixed `q` and `h`, by the shape's parameter of a given number: the change of the
-    /// normalisation is in it. Zero where there is no such parameter.
+    /// `∂(σ w)/∂p / σ` at fixed `q` and `h`, by the shape's parameter with index `parameter`. It
+    /// includes the derivative of the normalisation. Zero where there is no such parameter.
     #[inline(always)]
     fn value_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
         let _ = (parameter, q);
         T::of(0.0)
     }
-    /// `∂(σ g)/∂p / σ`, likewise.
+    /// `∂(σ g)/∂p / σ`, in the same way.
     #[inline(always)]
     fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
         let _ = (parameter, q);
@@ -116,7 +117,7 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
         Self::of(K::default(), h)
     }
 
-    /// A given kernel at smoothing length `h`.
+    /// The kernel `kernel` at smoothing length `h`.
     pub fn of(shape: K, h: f64) -> Self {
         let scale = shape.normalisation(D) / h.powi(D as i32);
         Self { h, inverse_h: 1.0 / h, scale, shape }
@@ -127,7 +128,7 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
         &self.shape
     }
 
-    /// Whether its values are looked up.
+    /// Whether the kernel is a table.
     pub fn is_table(&self) -> bool {
         self.shape.is_table()
     }
@@ -137,7 +138,8 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
         2.0 * self.h
     }
 
-    /// `∫ W² dr`, of dimension `1/length^D`: a smoothed field has this many independent values in a unit of volume.
+    /// `∫ W² dr`, of dimension `1/length^D`: the number of independent values of a smoothed field
+    /// per unit volume.
     pub fn square_integral(&self) -> f64 {
         const STEPS: u32 = 256;
         let width = self.support() / f64::from(STEPS);
@@ -176,13 +178,14 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
         [gradient * (self.scale * inverse_h2), curvature * (self.scale * inverse_h2 * inverse_h2)]
     }
 
-    /// `∂W/∂p` at fixed `r`, by the shape's parameter of a given number; zero where there is none.
+    /// `∂W/∂p` at fixed `r`, by the shape's parameter with index `parameter`; zero where there is
+    /// none.
     #[inline(always)]
     pub fn value_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
         self.shape.value_by(parameter, r * self.inverse_h) * self.scale
     }
 
-    /// `∂G/∂p` at fixed `r`, likewise.
+    /// `∂G/∂p` at fixed `r`, in the same way.
     #[inline(always)]
     pub fn gradient_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
         let scale = self.scale * self.inverse_h * self.inverse_h;

@@ -3,10 +3,10 @@
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// The rule that kernels are integrated by, on `[0, 1]`: nodes with weights.
+/// The quadrature rule for integrals of kernels, on `[0, 1]`: nodes with weights.
 ///
-/// A shape that ends as `(1 − q')ᵇ` is integrated to about `n^(−2b−2)` by `n` nodes: here to less than
-/// `1e-12` for `b ≥ 2`.
+/// With `n` nodes, a shape that ends as `(1 − q')ᵇ` is integrated with an error of about
+/// `n^(−2b−2)`: here less than `1e-12` for `b ≥ 2`.
 pub(super) static RULE: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| gauss_legendre(128));
 
 /// The rule of `n` nodes on `[0, 1]`, exact for polynomials of degree `2n − 1`: node and weight of each,
@@ -14,7 +14,7 @@ pub(super) static RULE: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| gauss_legendr
 pub(super) fn gauss_legendre(n: usize) -> Vec<[f64; 2]> {
     let node = |k: usize| {
         let mut x = -(PI * (k as f64 + 0.75) / (n as f64 + 0.5)).cos();
-        // Quadratic convergence from a guess that is good to 1/n³.
+        // Newton's method converges quadratically from a guess with an error of 1/n³.
         for _ in 0..6 {
             let (value, slope) = legendre(n, x);
             x -= value / slope;
@@ -25,7 +25,7 @@ pub(super) fn gauss_legendre(n: usize) -> Vec<[f64; 2]> {
     (0..n).map(node).collect()
 }
 
-/// `Pₙ(x)` and `Pₙ'(x)`, by the recurrence of three terms.
+/// `Pₙ(x)` and `Pₙ'(x)`, by the three-term recurrence.
 fn legendre(n: usize, x: f64) -> (f64, f64) {
     let (mut before, mut value) = (1.0, x);
     for k in 2..=n {

@@ -1,4 +1,4 @@
-//! What a kernel with a learnable shape says of itself.
+//! Kernels with a learnable shape.
 
 use super::KernelTable;
 use super::quadrature::RULE;
@@ -10,27 +10,28 @@ use std::f64::consts::PI;
 pub struct ShapeParameter {
     /// Its name in scenes.
     pub name: &'static str,
-    /// Its value where a scene gives none.
+    /// Its default value.
     pub start: f64,
-    /// The least and the greatest value that are allowed.
+    /// The smallest and the largest value allowed.
     pub range: [f64; 2],
 }
 
-/// A kernel whose shape has two parameters to learn. A file implements it, and a line in
-/// `kernel/mod.rs` names it.
+/// A kernel with a shape of two learnable parameters. Each is implemented in a file of its own, and
+/// listed in `kernel/mod.rs`.
 pub trait LearnableShape: 'static {
     /// Name in scenes.
     const NAME: &'static str;
     /// The parameters, in the order in which [`LearnableShape::shape`] takes them.
     const PARAMETERS: [ShapeParameter; 2];
 
-    /// The kernel up to its normalisation, at `q' = r/2h` in `[0, 1]`; zero at `q' = 1`. At dual
-    /// parameters its derivatives must be finite at both ends.
+    /// The kernel up to its normalisation, at `q' = r/2h` in `[0, 1]`; zero at `q' = 1`. With dual
+    /// numbers as parameters, its derivatives must be finite at both ends.
     fn shape<T: Scalar>(q: T, parameters: &[T; 2]) -> T;
 }
 
-/// `W hᵈ` over the shape, such that `W` integrates to one, by Gauss–Legendre quadrature: `σ` of the
-/// formula. At dual parameters it is differentiated. A table is normalised by its own integral.
+/// `W hᵈ` divided by the shape, for which `W` integrates to one, by Gauss–Legendre quadrature: `σ`
+/// of the formula. With dual numbers as parameters it is differentiated. A table is normalised by
+/// its own integral instead.
 pub fn normalisation<S: LearnableShape, T: Scalar>(parameters: &[T; 2], dimension: usize) -> T {
     let mut integral = T::of(0.0);
     for &[q, weight] in RULE.iter() {
@@ -57,7 +58,7 @@ pub struct ShapeKind {
 }
 
 impl ShapeKind {
-    /// The shape of a type.
+    /// The learnable shape of type `S`.
     pub const fn of<S: LearnableShape>() -> Self {
         Self { name: S::NAME, parameters: S::PARAMETERS, table: KernelTable::of::<S> }
     }

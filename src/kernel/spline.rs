@@ -3,15 +3,16 @@
 use super::quadrature::gauss_legendre;
 use crate::scalar::Tabulated;
 
-/// Intervals of every spline: 16 KiB of coefficients.
+/// Number of intervals of every spline: 16 KiB of coefficients.
 pub(super) const INTERVALS: usize = 512;
 
-/// The twice continuously differentiable piecewise cubic through values at equal distances, with slope
-/// zero at 1 and with one cubic on the first two intervals ("not a knot"); zero from 1 on. It depends
-/// linearly on the values.
+/// The twice continuously differentiable piecewise cubic through values at equal distances. Its
+/// slope is zero at 1, it is one cubic on the first two intervals ("not a knot"), and it is zero
+/// from 1 on. It is a linear function of the values.
 #[derive(Clone, Debug)]
 pub(super) struct Spline {
-    /// Coefficients of `1, t, t², t³` with `t` from 0 to 1 on each interval; zeros for all beyond.
+    /// Coefficients of `1, t, t², t³` on each interval, with `t` from 0 to 1; a last piece of zeros
+    /// for all arguments from 1 on.
     pieces: Vec<[f64; 4]>,
 }
 
@@ -28,8 +29,8 @@ impl Spline {
         Self { pieces: (0..INTERVALS).map(piece).chain([[0.0; 4]]).collect() }
     }
 
-    /// `∫₀¹ qⁿ P(q²) dq` for `n` up to 3, exactly: on each interval of `q` between two knots a polynomial
-    /// of degree `n + 6`, which five nodes integrate.
+    /// `∫₀¹ qⁿ P(q²) dq` for `n` up to 3, exact: between two knots the integrand is a polynomial in
+    /// `q` of degree `n + 6`, which five nodes integrate exactly.
     pub(super) fn moment(&self, n: i32) -> f64 {
         let rule = gauss_legendre(5);
         let knot = |k: usize| (k as f64 / INTERVALS as f64).sqrt();
@@ -46,13 +47,13 @@ impl Spline {
     }
 }
 
-/// Slopes at the knots per interval, from the rises over the intervals: `sₖ₋₁ + 4 sₖ + sₖ₊₁ =
-/// 3 (dₖ₋₁ + dₖ)` inside, `s₀ + 2 s₁ = (5 d₀ + d₁)/2` for one cubic on the first two intervals, zero at
-/// the end.
+/// Slopes at the knots, per interval, from the rises `dₖ` over the intervals:
+/// `sₖ₋₁ + 4 sₖ + sₖ₊₁ = 3 (dₖ₋₁ + dₖ)` inside, `s₀ + 2 s₁ = (5 d₀ + d₁)/2` for one cubic on the
+/// first two intervals, and zero at the end.
 fn slopes(rises: &[f64]) -> Vec<f64> {
     let n = rises.len();
     let mut slopes = vec![0.0; n + 1];
-    // Elimination downwards, `sₖ + upper[k] sₖ₊₁ = slopes[k]`, then substitution upwards.
+    // Forward elimination, `sₖ + upper[k] sₖ₊₁ = slopes[k]`, then back substitution.
     let mut upper = vec![2.0; n];
     slopes[0] = 0.5 * (5.0 * rises[0] + rises[1]);
     for k in 1..n {
@@ -66,7 +67,7 @@ fn slopes(rises: &[f64]) -> Vec<f64> {
     slopes
 }
 
-/// Derivative of a piece by the spline's argument.
+/// Derivative of a piece by the argument of the spline.
 #[inline(always)]
 fn derivative([a, b, c, d]: &[f64; 4], t: f64, order: usize) -> f64 {
     const PER: f64 = INTERVALS as f64;
@@ -84,7 +85,7 @@ impl Tabulated for Spline {
     fn at<const N: usize>(&self, x: f64, order: usize) -> [f64; N] {
         let end = INTERVALS as f64;
         let place = if x * end > end { end } else { x * end };
-        // What is not a number is on no interval, and stays what it is.
+        // NaN converts to index 0 and stays NaN in `t`.
         let k = (place as usize).min(INTERVALS);
         let (piece, t) = (&self.pieces[k], place - k as f64);
         let mut found = [0.0; N];
@@ -126,7 +127,8 @@ mod tests {
         let spline =
             Spline::through(|k| (-5.0 * k as f64 / INTERVALS as f64).exp() * (k as f64).sin());
         for pair in spline.pieces[..INTERVALS].windows(2) {
-            // Third derivatives jump by about one per interval cubed; each next order is a factor 512.
+            // The third derivative jumps by about the interval's length; each further derivative
+            // costs a factor 512.
             for (order, bound) in [1e-14, 1e-11, 1e-8].into_iter().enumerate() {
                 let [left, right] = [(&pair[0], 1.0), (&pair[1], 0.0)];
                 let [left, right] = [left, right].map(|(piece, t)| derivative(piece, t, order));

@@ -1,20 +1,22 @@
-//! Kernels from a table.
+//! Tabulated kernels.
 
 use super::shape::normalisation_of;
 use super::spline::{INTERVALS, Spline};
 use super::{Kernel, LearnableShape};
 use crate::scalar::{Dual, Scalar};
 
-/// A normalised kernel of learnable shape at given parameters, as a spline `P` in `u = (r/2h)²`.
+/// A normalised kernel with a learnable shape at given parameters, as a spline `P` of
+/// `u = (r/2h)²`.
 ///
-/// `W = h⁻ᵈ P(u)`, `W'(r)/r = h⁻ᵈ P'(u)/(2h²)`, `G'(r)/r = h⁻ᵈ P''(u)/(4h⁴)`: the derivatives are exactly
-/// those of the kernel that is run, and nothing is divided by `r`. Those by the parameters are splines
-/// through the derivatives at the knots; since a spline depends linearly on its knots, they too are
-/// exactly those of the kernel that is run. So is the normalisation: the spline integrates to one.
+/// `W = h⁻ᵈ P(u)`, `W'(r)/r = h⁻ᵈ P'(u)/(2h²)`, `G'(r)/r = h⁻ᵈ P''(u)/(4h⁴)`: the derivatives are
+/// exactly those of the spline, and nothing is divided by `r`. Derivatives by the parameters are
+/// splines through the derivatives at the knots; because a spline is a linear function of its
+/// values, they are exact derivatives of the spline, too. The spline is normalised: it integrates
+/// to one.
 ///
-/// Against the formula, at the parameters that the shapes start from (`tests/kernel_tables.rs`): `W_ab` to
-/// `1.1e-5 W(0)` next to the centre, where it has no fourth derivative, and to `3.3e-8 W(0)` from `0.3 h`
-/// on; `W₂` to `3.7e-8 W(0)`. Costs a call and eight look-ups for eight pairs.
+/// Error against the formula, at the default parameters (`tests/kernel_tables.rs`): for `W_ab`
+/// `1.1e-5 W(0)` next to the centre, where it has no fourth derivative, and `3.3e-8 W(0)` from
+/// `0.3 h` on; for `W₂` `3.7e-8 W(0)`. It costs a call and eight lookups for eight pairs.
 #[derive(Clone)]
 pub struct KernelTable {
     name: &'static str,
@@ -54,13 +56,14 @@ impl KernelTable {
         self.at
     }
 
-    /// Dimension of the space in which it integrates to one.
+    /// Dimension of the space in which it is normalised.
     pub fn dimension(&self) -> usize {
         self.dimension
     }
 }
 
-/// The splines through values at the knots and through their two derivatives.
+/// The splines through the values at the knots, and through their derivatives by the two
+/// parameters.
 fn splines(knots: &[Dual<f64, 2>]) -> [Spline; 3] {
     let by = |p: usize| Spline::through(|k| knots[k].gradient[p]);
     [Spline::through(|k| knots[k].value), by(0), by(1)]

@@ -5,13 +5,15 @@ use crate::scalar::Scalar;
 
 /// `W₂ = σ (√(a²+1) − √(a²+q'²)) (1−q'²)² (1+b q'²)` with `q' = r/2h`.
 ///
-/// `σ` by quadrature. Dimension `1/length^d`.
+/// `σ` is found by quadrature. Dimension `1/length^d`.
 ///
-/// Source: Woodward et al., Phys. Rev. Fluids 8, 054602 (2023), which learned the values it starts from.
+/// Source: Woodward et al., Phys. Rev. Fluids 8, 054602 (2023); the default values are those
+/// learned there.
 ///
-/// The tip is round over `2ha`: `a ≥ 0.1` keeps it wider than five intervals of the table.
-/// `−1 ≤ b ≤ 2` keeps the kernel falling from the centre to the edge. In three dimensions its Fourier
-/// transform dips to `−3.2e-4` at `kh = 5.6` where it starts; at `a = 0.15`, `b = −0.95` nowhere.
+/// The tip is rounded over a width `2ha`: `a ≥ 0.1` keeps it wider than five intervals of the
+/// table. `−1 ≤ b ≤ 2` keeps the kernel decreasing from the centre to the edge. In three dimensions
+/// its Fourier transform has a minimum of `−3.2e-4` at `kh = 5.6` for the default values, and is
+/// nowhere negative at `a = 0.15`, `b = −0.95`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct W2;
 

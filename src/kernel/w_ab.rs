@@ -3,21 +3,24 @@
 use super::{LearnableShape, ShapeParameter};
 use crate::scalar::Scalar;
 
-/// Below this a base of a power is held: its powers have long underflowed to nothing, and the logarithms
-/// in the derivatives by the exponents stay finite.
+/// Lower bound of a base of a power: below it the powers have underflowed to zero, while the
+/// logarithms in the derivatives by the exponents stay finite.
 const SMALLEST: f64 = 1e-100;
 
 /// `W_ab = σ (1 − q'ᵃ)ᵇ` with `q' = r/2h`.
 ///
-/// `σ₃ = 3Γ(b + 3/a + 1)/(32π h³ Γ(b+1) Γ(3/a+1))`, `σ₂ = Γ(b + 2/a + 1)/(4π h² Γ(b+1) Γ(2/a+1))`; found
-/// by quadrature, and compared with these in `tests/kernel_tables.rs`. Dimension `1/length^d`.
+/// `σ₃ = 3Γ(b + 3/a + 1)/(32π h³ Γ(b+1) Γ(3/a+1))`, `σ₂ = Γ(b + 2/a + 1)/(4π h² Γ(b+1) Γ(2/a+1))`.
+/// They are computed by quadrature, and compared with these formulas in `tests/kernel_tables.rs`.
+/// Dimension `1/length^d`.
 ///
-/// Source: Woodward et al., Phys. Rev. Fluids 8, 054602 (2023), which learned the values it starts from.
+/// Source: Woodward et al., Phys. Rev. Fluids 8, 054602 (2023); the default values are those
+/// learned there.
 ///
-/// `a ≥ 2` keeps `W'(r)/r` finite at `r = 0`, `b ≥ 2` keeps its slope finite at the edge. For
-/// `a < 4` that is no even number the table's slope is least exact at the centre, where `W` has no fourth
-/// derivative. In three dimensions its Fourier transform dips to `−2.9e-2` at `kh = 4.4` where it starts,
-/// and to `−3.8e-4` at the mildest, `a = 2`, `b = 10`: `positive` refuses all of it.
+/// `a ≥ 2` keeps `W'(r)/r` finite at `r = 0`, `b ≥ 2` keeps its slope finite at the edge. If
+/// `a < 4` is not an even number, the table's slope is least accurate at the centre, where `W` has
+/// no fourth derivative. In three dimensions the minimum of its Fourier transform is `−2.9e-2` at
+/// `kh = 4.4` for the default values, and `−3.8e-4` in the best case, `a = 2`, `b = 10`: `positive`
+/// refuses all parameters.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WAb;
 
