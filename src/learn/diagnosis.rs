@@ -1,12 +1,12 @@
-//! What a search says where a flow diverges: the parameters, and a remedy that can be followed.
+//! The error message when a flow diverges during a search: the parameters, and a remedy.
 
 use super::Learner;
 use crate::error::Error;
 use crate::space::PeriodicBox;
 use crate::systems::loss::Observations;
 
-/// Distances from frame to frame this many times longer or shorter than velocities make them are no round-off of a
-/// step.
+/// Ratio, or inverse ratio, of the distance between frames and the distance from velocities, above
+/// which the two are inconsistent.
 const APART: f64 = 2.0;
 
 impl<const D: usize> Learner<D> {
@@ -17,8 +17,8 @@ impl<const D: usize> Learner<D> {
         if words.is_empty() { "these weights".to_owned() } else { words.join(", ") }
     }
 
-    /// An error of an evaluation, with the parameters at which it happened; with recorded particles the remedy is
-    /// what can be changed there, and that is not the time step alone.
+    /// Adds the parameters to the error of an evaluation. With recorded particles it also replaces
+    /// the remedy, because the time between frames is given.
     pub(super) fn explain(&self, error: Error, learned: &[f64]) -> Error {
         let Error::Diverged { step, time, quantity, found, remedy } = error else { return error };
         let lonely = self.flow.loneliness().is_some();
@@ -41,7 +41,8 @@ impl<const D: usize> Learner<D> {
         )
     }
 
-    /// Whether recorded velocities are those of the recorded positions: units, time, rows.
+    /// A warning where recorded velocities do not match the recorded positions: wrong units, times
+    /// or rows.
     pub(super) fn doubt_of_data(&self) -> Option<String> {
         let (length, interval) = self.units;
         let space = PeriodicBox { length };

@@ -1,21 +1,21 @@
-//! Searches by gradients: first-order steps, and limited-memory BFGS along lines.
+//! Searches by gradients: first-order methods, and limited-memory BFGS with a line search.
 
 use super::search::Search;
 use super::{Evaluation, Iteration, Learner};
 use crate::error::Result;
 use crate::optimisers::{Coordinates, Descend, Lbfgs, LineSearch};
 
-/// Trials along one line of a quasi-Newton search.
+/// Number of trials along one line of a quasi-Newton search, maximum.
 const TRIALS: usize = 20;
 
 impl<const D: usize> Learner<D> {
-    /// Iterations that one stage of a search by gradients may take: all have an equal share.
+    /// Iterations of one stage of a search by gradients: all stages have an equal share.
     fn share(&self) -> usize {
         let stages = self.learn.windows.iter().filter(|&&w| w < self.frames).count() + 1;
         self.learn.iterations.div_ceil(stages)
     }
 
-    /// One stage of first-order steps, from an evaluation to the last.
+    /// One stage of first-order steps; returns the last evaluation.
     pub(super) fn descend(
         &mut self,
         search: &mut Search,
@@ -23,7 +23,7 @@ impl<const D: usize> Learner<D> {
         (mut optimiser, decay): (impl Descend, f64),
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Evaluation> {
-        // Ten decays a stage.
+        // The rate decays ten times per stage.
         let share = self.share();
         let last = window == self.frames;
         let coordinates = self.coordinates();
@@ -44,7 +44,7 @@ impl<const D: usize> Learner<D> {
             match self.evaluate(&search.at, window) {
                 Ok(found) => here = found,
                 Err(error) => {
-                    // Back to the last flow that could be trusted, and on more carefully.
+                    // Return to the last parameters that could be evaluated, with half the rate.
                     search.at.copy_from_slice(&here.parameters);
                     optimiser.set_rate(0.5 * optimiser.rate());
                     note = Some(format!("step taken back, rate halved: {error}"));
@@ -57,8 +57,8 @@ impl<const D: usize> Learner<D> {
         Ok(here)
     }
 
-    /// Limited-memory BFGS in the coordinates. An iteration is one evaluation: a trial on a line counts
-    /// like any other.
+    /// Limited-memory BFGS in the coordinates of the search. Every evaluation is an iteration, also
+    /// a trial on a line.
     pub(super) fn quasi_newton(
         &mut self,
         search: &mut Search,
@@ -86,7 +86,8 @@ impl<const D: usize> Learner<D> {
                     here = new;
                     failures = 0;
                 }
-                // Once it may be the memory's fault; twice nowhere is the end.
+                // A first failure may be due to the memory, which is cleared; a second one ends the
+                // stage.
                 None => {
                     optimiser.forget();
                     failures += 1;
@@ -99,7 +100,8 @@ impl<const D: usize> Learner<D> {
         Ok(here)
     }
 
-    /// The first evaluation on a line that satisfies its conditions, or else the last that is lower.
+    /// The first evaluation on a line that satisfies the conditions of the line search, otherwise
+    /// the last that lowers the loss.
     fn search_line(
         &mut self,
         search: &mut Search,
@@ -117,8 +119,8 @@ impl<const D: usize> Learner<D> {
             };
             (search.index, search.window) = (search.index + 1, line.window);
             let done = lengths.accept(trial.as_ref().ok().map(|t| (t.loss, line.slope(t))));
-            // A length that is too long or too short is a line search's daily bread; a flow that
-            // diverged is not.
+            // Only a trial that diverged gets a note: lengths that are too long or too short are
+            // normal in a line search.
             let note = trial.as_ref().err().map(|error| format!("trial taken back: {error}"));
             found = trial.ok().filter(|t| t.loss < here.loss).or(found);
             let evaluation = found.as_ref().filter(|_| done).unwrap_or(here);
@@ -131,7 +133,7 @@ impl<const D: usize> Learner<D> {
         Ok(found)
     }
 
-    /// Ends a first-order search with its best evaluation, where the last iteration is another one.
+    /// Ends a first-order search at its best evaluation, if that is not the last iteration.
     pub(super) fn go_back(
         &self,
         search: &mut Search,
@@ -152,16 +154,16 @@ impl<const D: usize> Learner<D> {
 /// A line in the space of the coordinates.
 struct Line<'a> {
     coordinates: &'a Coordinates,
-    /// The parameters where it begins.
+    /// The parameters at its start.
     start: &'a [f64],
     from: &'a [f64],
     direction: &'a [f64],
-    /// Frames over which evaluations on it run.
+    /// Number of frames of an evaluation.
     window: usize,
 }
 
 impl Line<'_> {
-    /// The parameters at a length; `None` where there are none.
+    /// The parameters at a length; `None` where no parameters have these coordinates.
     fn at(&self, length: f64) -> Option<Vec<f64>> {
         let steps = self.from.iter().zip(self.direction).map(|(x, d)| x + length * d);
         let there = self.coordinates.parameters(&steps.collect::<Vec<_>>())?;

@@ -1,10 +1,12 @@
-//! What a search knows at its end: how well each parameter is known, what cannot be told apart, why it stopped.
+//! What is known at the end of a search: the standard error of each parameter, correlations, and
+//! why it stopped.
 //!
-//! The covariance is that of least squares whose groups of residuals (positions, velocities, field) each have a
-//! variance `s_g = L_g/(n_g ν/n)` of their own: `C = N⁻¹ (Σ_g s_g N_g) N⁻¹`, with the normal matrices `N_g` of the
-//! groups, `N` their sum, `n_g` their independent residuals and `ν = n − p` degrees of freedom. It is taken in the
-//! coordinates of the search, where the force is nearly linear, and mapped to parameters by their Jacobian. Noise of
-//! the first frame, which a prediction takes as exact, is not in it. Tested in `tests/knowledge.rs`.
+//! The covariance is that of least squares in which each group of residuals (positions, velocities,
+//! field) has its own variance `s_g = L_g/(n_g ν/n)`: `C = N⁻¹ (Σ_g s_g N_g) N⁻¹`, with the normal
+//! matrices `N_g` of the groups, their sum `N`, their independent residuals `n_g`, and `ν = n − p`
+//! degrees of freedom. It is computed in the coordinates of the search, in which the force is
+//! nearly linear, and mapped to parameters by their Jacobian. It does not contain noise of the
+//! first frame, which a prediction takes as exact. Tested in `tests/knowledge.rs`.
 
 use super::{Evaluation, Learner};
 use crate::optimisers::{Coordinates, Spectrum};
@@ -25,87 +27,91 @@ pub enum Stop {
     /// All iterations are used up.
     #[default]
     Iterations,
-    /// No trial lowers the loss, although its gradient says that one should.
+    /// No trial lowers the loss, although its gradient is not zero.
     Stalled,
 }
 
-/// What is known at the end of a search. Maps go by the names of parameters; weights of a network are not among them.
+/// What is known at the end of a search. Keys of maps are names of parameters; weights of a network
+/// have no entries.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Knowledge {
     /// Why the search ended.
     pub stopped_by: Stop,
-    /// Frames over which the final loss is taken: all, unless no parameters held over all.
+    /// Number of frames in the final loss: all, unless the flow diverges over all frames at all
+    /// parameters tried.
     pub window: usize,
-    /// Whether the data pin a parameter; without an entry where that is not known.
+    /// Whether the data determine a parameter; no entry where that is unknown.
     pub identified: BTreeMap<String, bool>,
-    /// Why a parameter is not identified.
+    /// The reason why a parameter is not identified.
     pub doubts: BTreeMap<String, String>,
-    /// One standard error of each parameter that has one.
+    /// The standard error of each parameter that has one.
     pub standard_error: BTreeMap<String, f64>,
-    /// Pairs of parameters with correlations beyond 0.95, which the data tell apart badly.
+    /// Pairs of parameters with correlations beyond 0.95, which the data can hardly tell apart.
     pub correlated: Vec<(String, String, f64)>,
-    /// Independent residuals less parameters.
+    /// Number of independent residuals minus number of parameters.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degrees_of_freedom: Option<f64>,
-    /// The loss over the degrees of freedom.
+    /// The loss divided by the degrees of freedom.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub residual_per_freedom: Option<f64>,
-    /// Root-mean-square residual over the root-mean-square of what was observed.
+    /// Root-mean-square residual divided by the root mean square of the observed quantity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_residual: Option<f64>,
-    /// `|θ ∂L/∂θ| / |L|`: by which share the loss changes when all parameters change by their own size.
+    /// `|θ ∂L/∂θ| / |L|`: the relative change of the loss when all parameters change by their own
+    /// size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_gradient: Option<f64>,
-    /// Whether the search came to rest.
+    /// Whether the search converged.
     pub converged: bool,
-    /// Why there is no standard error, where there is none.
+    /// The reason why there are no standard errors, if there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_standard_error: Option<String>,
-    /// What happened on the way that the result must be read with: guesses left, stages skipped.
+    /// Events during the search that qualify the result: guesses replaced, stages skipped.
     pub remarks: Vec<String>,
 }
 
-/// How a search ran, for what is known at its end.
+/// The course of a search, from which knowledge at its end follows.
 pub(super) struct Course<'a> {
     pub(super) guess: &'a [f64],
     pub(super) window: usize,
-    /// Whether no iteration was left.
+    /// Whether all iterations were used.
     pub(super) is_used_up: bool,
     pub(super) remarks: Vec<String>,
 }
 
-/// Most parameters whose matrix is taken apart: weights of a network are not told one by one.
+/// Number of parameters, maximum, up to which the covariance is computed; weights of a network are
+/// not judged one by one.
 const MOST: usize = 64;
 
-/// Correlations beyond this are said.
+/// Absolute correlation above which a pair is reported.
 const CORRELATED: f64 = 0.95;
 
-/// Below this share of what is observed residuals are round-off of a few dozen steps.
+/// Relative residual at or below which residuals are round-off of a few dozen steps.
 const ROUND_OFF: f64 = 1e-12;
 
-/// Where this share of what is observed is left over, the data are looked at.
+/// Relative residual above which the data are checked.
 const POOR: f64 = 0.1;
 
-/// A search is at rest where one more step would take it by less than this number of standard errors.
+/// Length of the next step, in standard errors, at or below which a search has converged.
 const AT_REST: f64 = 0.1;
 
-/// A search by gradients is at rest where this share of its loss is all that a change of parameters by their own size
-/// would win.
+/// Relative gradient at or below which a search without a covariance has converged: the share of
+/// the loss that a change of the parameters by their own size would gain.
 const FLAT: f64 = 1e-3;
 
-/// The covariance of the parameters that the data reach.
+/// The covariance of the parameters that the data determine.
 struct Covariance {
-    /// By parameters, row by row; zero in the rows of those that have none.
+    /// By parameters, row by row; zero for parameters without a covariance.
     matrix: Vec<f64>,
-    /// Parameters in a direction that changes nothing.
+    /// Parameters with a share in a direction that changes nothing.
     inseparable: Vec<bool>,
-    /// Length of the next step in standard errors.
+    /// Length of the next step, in standard errors.
     distance: f64,
 }
 
 impl<const D: usize> Learner<D> {
-    /// What is known of the parameters of an evaluation.
+    /// What is known about the parameters of an evaluation.
     pub(super) fn knowledge(&self, found: &Evaluation, course: Course<'_>) -> Knowledge {
         let relative_residual = relative(found);
         let mut knowledge = Knowledge {
@@ -144,7 +150,7 @@ impl<const D: usize> Learner<D> {
         knowledge
     }
 
-    /// Why there is no covariance, where there is none.
+    /// The reason why there is no covariance, if there is none.
     fn no_matrix(&self, found: &Evaluation) -> Option<String> {
         let count = found.parameters.len();
         let why = match () {
@@ -224,7 +230,8 @@ impl<const D: usize> Learner<D> {
         })
     }
 
-    /// Says of each parameter whether it is identified, by what error, and why not.
+    /// Decides for each parameter whether it is identified, with its standard error or the reason
+    /// why not.
     fn judge(&self, found: &Evaluation, sides: &Sides<'_>, knowledge: &mut Knowledge) {
         let count = found.parameters.len();
         let own: Vec<usize> = (0..count).filter(|&k| !self.columns[k].is_weight()).collect();
@@ -256,7 +263,7 @@ impl<const D: usize> Learner<D> {
         }
     }
 
-    /// Why a parameter is not identified, where it is not.
+    /// The reason why a parameter is not identified, if it is not.
     fn doubt(
         &self,
         (found, k): (&Evaluation, usize),
@@ -293,7 +300,7 @@ impl<const D: usize> Learner<D> {
     }
 }
 
-/// What a judgement of one parameter goes by.
+/// The data from which parameters are judged.
 struct Sides<'a> {
     guess: &'a [f64],
     effect: Vec<bool>,
@@ -311,7 +318,8 @@ fn edge(domain: Domain) -> String {
     format!("at the edge of what a scene accepts ({}): the loss falls beyond it", domain.words())
 }
 
-/// Which parameters change what is predicted by more than round-off, when they change by their own size.
+/// Which parameters change the prediction by more than round-off when they change by their own
+/// size.
 fn effects(coordinates: &Coordinates, found: &Evaluation) -> Vec<bool> {
     let count = found.parameters.len();
     if found.squares.is_empty() {
@@ -328,13 +336,13 @@ fn effects(coordinates: &Coordinates, found: &Evaluation) -> Vec<bool> {
     at.iter().enumerate().map(effect).collect()
 }
 
-/// The rows and columns of some places of a matrix.
+/// The rows and columns of a matrix at some places.
 fn among(matrix: &[f64], (places, count): (&[usize], usize)) -> Vec<f64> {
     let row = |&a: &usize| places.iter().map(move |&b| matrix[a * count + b]);
     places.iter().flat_map(row).collect()
 }
 
-/// `Σ_g s_g N_g` over the free parameters; a variance is never less than round-off makes it.
+/// `Σ_g s_g N_g` over the free parameters; a variance is at least that of round-off.
 fn scatter(
     found: &Evaluation,
     (coordinates, free): (&Coordinates, &[usize]),
@@ -353,7 +361,7 @@ fn scatter(
     scatter
 }
 
-/// A covariance in coordinates, as one of the parameters: `J C Jᵀ`.
+/// The covariance of the parameters from that of the coordinates: `J C Jᵀ`.
 fn spread(
     coordinates: &Coordinates,
     parameters: &[f64],
@@ -373,14 +381,15 @@ fn spread(
     (0..count * count).map(entry).collect()
 }
 
-/// Values of some places among all; `false` elsewhere.
+/// Puts values at some places of an array of `false`.
 fn scattered(values: &[bool], (places, count): (&[usize], usize)) -> Vec<bool> {
     let mut all = vec![false; count];
     places.iter().zip(values).for_each(|(&place, &value)| all[place] = value);
     all
 }
 
-/// Root-mean-square residual over what was observed: the largest of all quantities.
+/// Root-mean-square residual divided by the root mean square of the observed quantity: the largest
+/// of all quantities.
 fn relative(found: &Evaluation) -> Option<f64> {
     let each = found.squares.iter().filter(|squares| squares.size > 0.0);
     each.map(|squares| (squares.value / squares.size).sqrt()).reduce(f64::max)

@@ -5,14 +5,14 @@ use super::{Evaluation, Iteration, Learner};
 use crate::error::Result;
 use crate::optimisers::LevenbergMarquardt;
 
-/// Trials in a row that may fail before a search by Levenberg–Marquardt counts as finished.
+/// Consecutive trials that may fail before a Levenberg–Marquardt search ends.
 const PATIENCE: usize = 12;
 
-/// A step that would take less than this share of the loss away takes nothing but round-off.
+/// Predicted relative decrease of the loss at or below which a step is only round-off.
 const NOTHING: f64 = 1e-14;
 
 impl<const D: usize> Learner<D> {
-    /// One stage, from an evaluation to the best that it finds.
+    /// One stage; returns the best evaluation.
     pub(super) fn levenberg_marquardt(
         &mut self,
         search: &mut Search,
@@ -41,8 +41,8 @@ impl<const D: usize> Learner<D> {
         Ok(best)
     }
 
-    /// One trial: `best` moves there if it is better, otherwise the reason comes back. None where there is nothing
-    /// left to win.
+    /// One trial: updates `best` if it is better, otherwise returns the reason. None where no
+    /// decrease is predicted.
     fn attempt(
         &mut self,
         optimiser: &mut LevenbergMarquardt,
@@ -85,7 +85,7 @@ impl<const D: usize> Learner<D> {
     }
 }
 
-/// Keeps the parameters that stand at the edge of their domain out of a step.
+/// Fixes the parameters that are at the edge of their domain during a step.
 fn hold(held: &[bool], gradient: &mut [f64], normal: &mut [f64]) {
     let count = held.len();
     for held in (0..count).filter(|&k| held[k]) {

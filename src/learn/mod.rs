@@ -22,7 +22,7 @@ use crate::systems::loss::{LossSum, Observations};
 use crate::truth::Truth;
 use rand::RngExt;
 
-/// What is known after one evaluation of the loss.
+/// The result of one evaluation of the loss.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
     /// The learned parameters, in the scene's order.
@@ -39,21 +39,21 @@ pub struct Evaluation {
     pub gradient: Vec<f64>,
     /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.
     pub normal: Vec<f64>,
-    /// The sums of squares that the loss consists of; empty where the gradient came from the adjoint, or the loss is
-    /// no sum of squares.
+    /// The sums of squares in the loss; empty where the gradient came from the adjoint, or where
+    /// the loss is not a sum of squares.
     pub squares: Vec<Squares>,
 }
 
 /// The residuals of one measured quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Squares {
-    /// What was measured: positions, velocities, field.
+    /// The measured quantity: positions, velocities, field.
     pub of: &'static str,
     /// Their share of the loss, `Σ w R²`.
     pub value: f64,
-    /// Number of independent ones.
+    /// Number of independent residuals.
     pub count: f64,
-    /// `Σ w X̂²` of what was observed.
+    /// `Σ w X̂²` of the observed quantity.
     pub size: f64,
     /// Their share of the Gauss–Newton matrix, row by row.
     pub normal: Vec<f64>,
@@ -62,25 +62,25 @@ pub struct Squares {
 /// One iteration of the search, as it is recorded.
 #[derive(Clone, Debug)]
 pub struct Iteration<'a> {
-    /// Zero is the guess; then counted over all stages: `k` stands behind `k` updates (first order) or
-    /// trials (Levenberg–Marquardt).
+    /// Zero for the guess, then counted over all stages: iteration `k` comes after `k` updates
+    /// (first order) or trials (Levenberg–Marquardt).
     pub index: usize,
-    /// Frames that count in this stage.
+    /// Number of frames in this stage.
     pub window: usize,
     /// Loss and gradient at the parameters that are now best (Levenberg–Marquardt) or current.
     pub evaluation: &'a Evaluation,
-    /// Damping (Levenberg–Marquardt), or learning rate of the update that led here.
+    /// Damping (Levenberg–Marquardt), or learning rate of the update before this evaluation.
     pub rate: f64,
-    /// Why the last trial was taken back, if it was, or which iteration is gone back to.
+    /// The reason if the last trial was rejected, or the iteration to which the search returns.
     pub note: Option<String>,
 }
 
-/// How a search ended.
+/// The result of a search.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Loss and parameters over all frames, or over as many as any parameters held ([`Knowledge::window`]); of a
-    /// first-order search the best that its last stage met,
-    /// which is also the last iteration: one more goes back to it where it was left behind.
+    /// Loss and parameters over all frames, or over the frames of [`Knowledge::window`]. For a
+    /// first-order search it is the best evaluation of the last stage, and also the last iteration:
+    /// the search returns to it by one more iteration if necessary.
     pub evaluation: Evaluation,
     /// Loss of the first guess over all frames.
     pub initial_loss: f64,
@@ -90,10 +90,11 @@ pub struct Outcome {
     pub knowledge: Knowledge,
 }
 
-/// What a scene learns: its physical parameters, then all weights of its model's network.
+/// The parameters that a scene learns: its physical parameters, then all weights of its model's
+/// network.
 ///
 /// # Errors
-/// [`Error::Input`] for options that make no network.
+/// [`Error::Input`] for options from which no network can be built.
 pub fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Parameter>> {
     let model = learn.model.build(Medium::<D>::of(scene, scene.particles()))?;
     let weights = model.network().map_or(0, |network| network.weights.len());
@@ -101,7 +102,8 @@ pub fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Param
     Ok(learn.parameters.iter().cloned().chain(weights).collect())
 }
 
-/// A prediction that learns: a flow with sensitivities, started again and again from the same state.
+/// A prediction that learns: a flow with derivatives, restarted from the same state for every
+/// evaluation.
 pub struct Learner<const D: usize> {
     flow: Flow<D>,
     from: State<D>,
@@ -111,18 +113,18 @@ pub struct Learner<const D: usize> {
     places: Vec<usize>,
     frames: usize,
     gradient: Gradient,
-    /// Most bytes that the last adjoint held.
+    /// Largest memory of the last adjoint, in bytes.
     held: usize,
-    /// Who searches before.
+    /// The learner that searches before this one.
     warm_up: Option<Box<Self>>,
-    /// Side of the box, and the time from frame to frame.
+    /// Side of the box, and the time between frames.
     units: (f64, f64),
     /// Whether the frames are recorded particles.
     is_recorded: bool,
 }
 
 impl<const D: usize> Learner<D> {
-    /// A learner for a scene, from the first true state and the observations behind it.
+    /// A learner for a scene, from the first true state and the observations after it.
     pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
         let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
@@ -169,8 +171,8 @@ impl<const D: usize> Learner<D> {
         Ok(learner)
     }
 
-    /// Calls `work` with this learner and, where there is one, with the one that searches before, and with
-    /// what they are.
+    /// Calls `work` with this learner and its name, and then with that of the warm-up, if there is
+    /// one.
     ///
     /// # Errors
     /// Those of `work`.
@@ -195,13 +197,14 @@ impl<const D: usize> Learner<D> {
         &self.columns
     }
 
-    /// The first guess: the scene's `learn.guess`; where it has none, `c, α, β, γ, θ` are drawn from uniform (0, 1),
-    /// weights as [`crate::network::Network::initial`] draws them, and others start at the scene's own value.
+    /// The first guess: the scene's `learn.guess`. Without one, `c, α, β, γ, θ` are drawn uniformly
+    /// from (0, 1), weights are drawn by [`crate::network::Network::initial`], and other parameters
+    /// have the scene's own value.
     pub fn guess(&self, seed: u64) -> Vec<f64> {
         self.draw(seed, true)
     }
 
-    /// As [`Learner::guess`], without the scene's own guess where that is not asked for.
+    /// As [`Learner::guess`]; `with_own` says whether the scene's own guess is used.
     fn draw(&self, seed: u64, with_own: bool) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Guess);
         let draw = |p: &Parameter| {
@@ -215,8 +218,8 @@ impl<const D: usize> Learner<D> {
         guess
     }
 
-    /// The coordinates of the search, and the domains that it keeps to: those of the parameters, but for those that
-    /// the scene leaves unbounded.
+    /// The coordinates of the search, with the domains of the parameters, except for parameters
+    /// that the scene leaves unbounded.
     fn coordinates(&self) -> Coordinates {
         let specs = self.places.iter().map(|&place| {
             let spec = self.flow.parameters().specs()[place].clone();
@@ -229,15 +232,15 @@ impl<const D: usize> Learner<D> {
     /// Runs the prediction over the first `window` frames and compares it with the truth.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where these parameters make a flow that cannot be trusted, or a loss or
-    /// gradient that is not finite: with the parameters, and what a search can do about it.
+    /// [`Error::Diverged`] where the flow diverges at these parameters, or where loss or gradient
+    /// are not finite; it names the parameters and a remedy.
     pub fn evaluate(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.evaluate_as_it_is(learned, window).map_err(|error| self.explain(error, learned))
     }
 
     fn evaluate_as_it_is(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
         self.start_over(learned, window);
-        // A kernel that is to stay positive takes no parameters with a negative lobe.
+        // A kernel that must stay positive rejects parameters with a negative lobe.
         self.flow.model().medium().kernel.check("the kernel of this trial", D)?;
         if self.gradient == Gradient::Adjoint {
             return self.evaluate_backwards(learned, window);
@@ -249,12 +252,13 @@ impl<const D: usize> Learner<D> {
         Ok(Evaluation { squares: squares(&loss, count), ..found })
     }
 
-    /// Steps to the last of so many frames.
+    /// Number of steps to the last of `window` frames.
     fn steps(&self, window: usize) -> u64 {
         window as u64 * self.learn.every
     }
 
-    /// Puts the prediction back to its start, with other parameters, to be compared over `window` frames.
+    /// Resets the prediction to its start, with other parameters, for a comparison over `window`
+    /// frames.
     pub fn start_over(&mut self, learned: &[f64], window: usize) {
         self.flow.set_at(&self.places, learned);
         self.flow.set_window(window);
@@ -308,8 +312,8 @@ impl<const D: usize> Learner<D> {
         })
     }
 
-    /// Bytes that the gradient takes beside the flow: sensitivities with pairs linearised, or the most that tape and snapshots
-    /// of the last adjoint held.
+    /// Bytes of the gradient in addition to the flow: forward sensitivities and linearised pairs,
+    /// or the largest memory of tape and snapshots in the last adjoint.
     pub fn gradient_bytes(&self) -> usize {
         let parts = self.flow.bytes_per_particle();
         let forward = ["sensitivities", "linearised pairs"];
@@ -318,13 +322,13 @@ impl<const D: usize> Learner<D> {
         self.held + (each * self.from.positions.len() as f64).round() as usize
     }
 
-    /// How the gradient is found.
+    /// The mode of differentiation.
     pub fn gradient(&self) -> Gradient {
         self.gradient
     }
 }
 
-/// The sums of squares of a loss, where it has no other part.
+/// The sums of squares of a loss; empty if it has another part.
 fn squares(loss: &LossSum, count: usize) -> Vec<Squares> {
     let one = |(of, sum): &(&'static str, SquareSum)| Squares {
         of,

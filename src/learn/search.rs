@@ -1,7 +1,8 @@
-//! How a learner searches: stages of growing windows, each by the scene's optimiser.
+//! The course of a search: stages of growing windows, each with the scene's optimiser.
 //!
-//! A search ends with an error only where no parameters at all could be evaluated. A stage that cannot begin where the
-//! one before it ended goes back to the best parameters at which its window holds, or is left out (`start.rs`).
+//! A search fails only where no parameters at all could be evaluated. If a stage cannot begin where
+//! the stage before it ended, it begins at the best parameters for which the flow holds over its
+//! window, or it is left out (`start.rs`).
 
 use super::knowledge::Course;
 use super::{Evaluation, Iteration, Learner, Outcome};
@@ -10,11 +11,11 @@ use crate::interrupt;
 use crate::optimisers::{Adam, Rmsprop};
 use crate::scene::Optimiser;
 
-/// Where a search stands.
+/// The state of a search.
 pub(super) struct Search {
-    /// Where it began.
+    /// The initial guess.
     pub(super) guess: Vec<f64>,
-    /// The guess over all frames, where it holds over all.
+    /// The guess evaluated over all frames, if the flow does not diverge.
     pub(super) whole: Option<Evaluation>,
     pub(super) at: Vec<f64>,
     /// Iterations before this search.
@@ -22,15 +23,15 @@ pub(super) struct Search {
     pub(super) index: usize,
     /// Window of the last iteration.
     pub(super) window: usize,
-    /// The best evaluation over all frames that a first-order search met, and behind which iteration.
+    /// The best evaluation over all frames in a first-order search, and its iteration.
     pub(super) best: Option<(usize, Evaluation)>,
-    /// Parameters that were best at some time, beginning with the guess.
+    /// Parameters that were best at some time, starting with the guess.
     pub(super) trail: Vec<Vec<f64>>,
-    /// Where the last stage ended, and its window.
+    /// Window and last evaluation of the last stage.
     pub(super) reached: Option<(usize, Evaluation)>,
-    /// Why the last stage that could not begin could not.
+    /// The error that kept the last failed stage from starting.
     pub(super) failure: Option<Error>,
-    /// What the result must be read with.
+    /// Events that qualify the result.
     pub(super) remarks: Vec<String>,
 }
 
@@ -57,7 +58,7 @@ impl Search {
         }
     }
 
-    /// The window of the last stage that could be evaluated; none is zero.
+    /// The window of the last stage that was evaluated; zero if there is none.
     fn reached(&self) -> usize {
         self.reached.as_ref().map_or(0, |(window, _)| *window)
     }
@@ -67,14 +68,14 @@ impl<const D: usize> Learner<D> {
     /// Searches from `guess`, through growing windows, and calls `watch` after each iteration.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where neither the guess nor anything tried in its place can be evaluated over any window,
-    /// and those of `watch`.
+    /// [`Error::Diverged`] where neither the guess nor any parameters tried in its place can be
+    /// evaluated over any window, and the errors of `watch`.
     pub fn run(
         &mut self,
         guess: Vec<f64>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
-        // A trial that was interrupted is no iteration.
+        // An interrupted trial is not an iteration.
         let watch = &mut |iteration: &Iteration<'_>| {
             interrupt::check()?;
             watch(iteration)
@@ -90,7 +91,7 @@ impl<const D: usize> Learner<D> {
         self.end(search, watch)
     }
 
-    /// The guess, and the warm-up from there.
+    /// Evaluates the guess, and runs the warm-up.
     fn begin(
         &mut self,
         guess: Vec<f64>,
@@ -99,7 +100,8 @@ impl<const D: usize> Learner<D> {
         let mut remarks = Vec::new();
         let guess = self.leave_dead_start(guess, &mut remarks);
         let mut search = Search::new(guess, self.frames, remarks);
-        // The guess is iteration zero; one whose flow diverges can still be left by a shorter window.
+        // The guess is iteration zero. If its flow diverges over all frames, a shorter window may
+        // still work.
         search.whole = self.evaluate(&search.guess, self.frames).ok();
         if let Some(evaluation) = &search.whole {
             let (index, window, rate, note) = (0, self.frames, 0.0, None);
@@ -109,7 +111,7 @@ impl<const D: usize> Learner<D> {
         Ok(search)
     }
 
-    /// Lets the warm-up search first; one that fails is left out.
+    /// Runs the warm-up's search first; one that diverges is left out.
     fn warm_up(
         &mut self,
         search: &mut Search,
@@ -136,7 +138,7 @@ impl<const D: usize> Learner<D> {
         }
     }
 
-    /// One stage, by the scene's optimiser; left out where no parameters hold over its window.
+    /// One stage, with the scene's optimiser; left out where no parameters hold over its window.
     fn stage(
         &mut self,
         search: &mut Search,
@@ -165,7 +167,7 @@ impl<const D: usize> Learner<D> {
         Ok(())
     }
 
-    /// Where no parameters held over all frames: stages between, as far as they lead.
+    /// If no parameters held over all frames, adds intermediate stages as far as possible.
     fn reach_farther(
         &mut self,
         search: &mut Search,
@@ -194,13 +196,13 @@ impl<const D: usize> Learner<D> {
         Ok(())
     }
 
-    /// The result, and what is known of it.
+    /// The result, with its knowledge.
     fn end(
         &mut self,
         mut search: Search,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
     ) -> Result<Outcome> {
-        // What an interrupted flow could not show is no finding.
+        // Evaluations of an interrupted flow are not results.
         interrupt::check()?;
         let (window, evaluation) = match (search.best.take(), search.reached.take()) {
             (Some(best), _) => (self.frames, self.go_back(&mut search, best, watch)?),

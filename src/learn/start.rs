@@ -1,21 +1,22 @@
-//! Where a search and its stages begin, and where they go where they cannot.
+//! Where a search and its stages begin, and alternatives if the flow diverges there.
 
 use super::search::Search;
 use super::{Evaluation, Iteration, Learner};
 use crate::error::{Error, Result};
 use crate::parameters::Domain;
 
-/// A positive parameter that begins at zero begins here instead, the middle of where guesses are drawn.
+/// Start value of a positive parameter with a guess of zero or less: the mean of random guesses.
 const MIDDLE: f64 = 0.5;
 
-/// How often a guess that diverges is halved.
+/// Number of times that a diverging guess is halved, maximum.
 const HALVINGS: i32 = 20;
 
-/// Guesses of other seeds that are tried where halves diverge, too.
+/// Number of guesses from other seeds that are tried if all halved guesses diverge.
 const DRAWS: u64 = 8;
 
 impl<const D: usize> Learner<D> {
-    /// A guess within the domains of its parameters: at the open end of one the search would see no effect.
+    /// A guess within the domains of its parameters. At the open end of a domain the gradient would
+    /// be zero.
     pub(super) fn leave_dead_start(
         &self,
         mut guess: Vec<f64>,
@@ -36,8 +37,9 @@ impl<const D: usize> Learner<D> {
         guess
     }
 
-    /// The evaluation from which a stage begins: where the stage before it ended or, where that flow diverges over
-    /// this window, the best parameters of the search so far at which it does not. None where there are none.
+    /// The evaluation from which a stage begins: the end of the stage before it or, if the flow
+    /// diverges there over this window, the best parameters of the search for which it does not.
+    /// None if there are none.
     pub(super) fn start(
         &mut self,
         search: &mut Search,
@@ -66,7 +68,8 @@ impl<const D: usize> Learner<D> {
         Ok(Some(here))
     }
 
-    /// Before the last stage: the guess, where the stages so far led away from it.
+    /// Before the last stage: returns to the guess if the stages so far increased the loss over all
+    /// frames.
     fn nearer(
         &mut self,
         search: &mut Search,
@@ -85,7 +88,7 @@ impl<const D: usize> Learner<D> {
         Ok(guess)
     }
 
-    /// Moves the search, as one more iteration that says why.
+    /// Moves the search to an evaluation, and records that as an iteration with a reason.
     fn go_to(
         &self,
         search: &mut Search,
@@ -101,7 +104,8 @@ impl<const D: usize> Learner<D> {
         watch(&Iteration { index, window, evaluation, rate, note })
     }
 
-    /// The lowest loss over a window among the guess and the last, last but one, last but three, … best parameters.
+    /// The evaluation of lowest loss over a window, among the guess and the last best parameters at
+    /// distances 1, 2, 4, … in the trail.
     fn best_of_trail(&mut self, search: &Search, window: usize) -> Option<(String, Evaluation)> {
         let last = search.trail.len() - 1;
         let mut places: Vec<usize> =
@@ -126,7 +130,7 @@ impl<const D: usize> Learner<D> {
         })
     }
 
-    /// The first that holds over a window: halves of the guess, then guesses of other seeds.
+    /// The first guess that holds over a window: halves of the guess, then guesses of other seeds.
     fn another_guess(&mut self, search: &Search, window: usize) -> Option<(String, Evaluation)> {
         let halves = (1..=HALVINGS).map(|k| {
             let share = 0.5_f64.powi(k);

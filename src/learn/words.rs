@@ -1,11 +1,12 @@
-//! What a search knows, in words.
+//! What is known at the end of a search, in words.
 
 use super::{Knowledge, Stop};
 
-/// Below this relative residual the data are exact, and parameters are printed with all their digits.
+/// Relative residual at or below which the data are exact, and parameters are printed with all
+/// their digits.
 const EXACT: f64 = 1e-10;
 
-/// Most decimals of a parameter.
+/// Number of decimals of a parameter, maximum.
 const DECIMALS: f64 = 12.0;
 
 impl Knowledge {
@@ -15,8 +16,8 @@ impl Knowledge {
             || self.relative_residual.is_some_and(|residual| residual <= EXACT)
     }
 
-    /// A parameter with the digits that mean something, and its standard error; one that is not identified is no
-    /// result, and is called so.
+    /// A parameter with its significant digits and its standard error. A parameter that is not
+    /// identified is printed as such, not as a result.
     pub fn value(&self, name: &str, value: f64) -> String {
         let error = self.standard_error.get(name).copied();
         match (self.doubts.get(name), error) {
@@ -56,7 +57,8 @@ impl Knowledge {
         }
     }
 
-    /// Everything beside the values: why the search stopped, what is correlated, what is missing, what happened.
+    /// Everything except the values: why the search stopped, correlations, missing standard errors,
+    /// remarks.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![self.why_stopped()];
         lines.extend(self.correlated.iter().map(|(a, b, correlation)| {

@@ -1,9 +1,10 @@
-//! The adjoint of a run of steps: all parameters at the price of one way back.
+//! The adjoint of a run of steps: the gradient by all parameters from one backward sweep.
 //!
-//! The way back needs every force evaluation. With [`Storage::All`] they are kept; with
-//! [`Storage::Checkpoints`] and [`Storage::Bytes`] only a few snapshots are, and the steps between them
-//! are run again, split by binomial coefficients (Griewank & Walther 2000, `revolve`), which needs the
-//! fewest repetitions. All run the same operations on the same numbers and give the same bits.
+//! The backward sweep needs every force evaluation. [`Storage::All`] keeps them all.
+//! [`Storage::Checkpoints`] and [`Storage::Bytes`] keep only a few snapshots and repeat the steps
+//! between them, split by binomial coefficients (Griewank & Walther 2000, `revolve`), which
+//! minimises the repetitions. All three perform the same operations on the same numbers and give
+//! the same bits.
 
 use crate::error::{Error, Result};
 use crate::flow::{Flow, Snapshot, State, in_pool};
@@ -13,16 +14,16 @@ use crate::systems::tape::FrameAdjoint;
 use crate::systems::verlet::Integrator;
 use serde::{Deserialize, Serialize};
 
-/// What is kept on the way forward.
+/// What is kept during the forward sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Storage {
-    /// Every force evaluation (default): fastest, memory grows with the number of steps.
+    /// Every force evaluation (default): the fastest; memory grows with the number of steps.
     #[default]
     All,
-    /// At most this many snapshots and one step: repeated steps instead of memory.
+    /// At most this number of snapshots, and one step: steps are repeated to save memory.
     Checkpoints(usize),
-    /// As many snapshots as fit into this many bytes beside one step: the same, by memory.
+    /// The number of snapshots that fit into this memory, in bytes, beside one step.
     Bytes(usize),
 }
 
@@ -33,17 +34,17 @@ pub struct AdjointGradient {
     pub loss: LossSum,
     /// `∂L/∂` of every parameter of the flow, in the order of [`Flow::parameters`].
     pub gradient: Vec<f64>,
-    /// Steps run forward in all, repetitions included.
+    /// Forward steps in total, including repetitions.
     pub steps_run: u64,
-    /// Most bytes held by tape and snapshots.
+    /// Largest memory of tape and snapshots, in bytes.
     pub bytes: usize,
 }
 
-/// Runs `flow` (built with [`Flow::with_adjoint`]) from `state` over `steps` steps, and back.
+/// Runs `flow` (built with [`Flow::with_adjoint`]) from `state` over `steps` steps, and backwards.
 ///
 /// # Errors
-/// [`Error::Diverged`] from the way forward, and [`Error::Input`] where [`Storage::Bytes`] has no room
-/// for one snapshot and one step.
+/// [`Error::Diverged`] from the forward sweep, and [`Error::Input`] where [`Storage::Bytes`] has no
+/// room for one snapshot and one step.
 pub fn adjoint_gradient<const D: usize>(
     flow: &mut Flow<D>,
     state: &State<D>,
@@ -54,7 +55,8 @@ pub fn adjoint_gradient<const D: usize>(
     flow.clear_adjoint();
     let particles = state.positions.len();
     let mut run = Run { flow, steps_run: 0, bytes: 0, particles, held: 0 };
-    // Steps are short: a thread of the pool that were woken for each would cost a thirtieth of all.
+    // The whole run stays in the pool: steps are short, and waking a thread for each would cost a
+    // thirtieth of the time.
     let loss = in_pool(|| match storage {
         Storage::All => run.with_everything(steps),
         Storage::Checkpoints(snapshots) => run.with_checkpoints(steps, |_| Ok(snapshots.max(1))),
@@ -68,7 +70,7 @@ pub fn adjoint_gradient<const D: usize>(
     Ok(AdjointGradient { loss, gradient: flow.adjoint_gradient(), steps_run, bytes })
 }
 
-/// How many snapshots fit into a budget beside the tape of one step; all in bytes.
+/// Number of snapshots that fit into a budget beside the tape of one step; all in bytes.
 fn snapshots_within(budget: usize, tape: usize, snapshot: usize) -> Result<usize> {
     if budget < tape + snapshot {
         return Err(Error::input(
@@ -86,7 +88,7 @@ struct Run<'a, const D: usize> {
     steps_run: u64,
     bytes: usize,
     particles: usize,
-    /// Snapshots now held.
+    /// Number of snapshots held.
     held: usize,
 }
 
@@ -102,13 +104,13 @@ impl<const D: usize> Run<'_, D> {
         Ok(self.flow.loss())
     }
 
-    /// With as many snapshots as `room` gives to a run that needs so many bytes for its tape.
+    /// Keeps as many snapshots as `room` returns for the size of the tape, in bytes.
     fn with_checkpoints(
         &mut self,
         steps: u64,
         room: impl FnOnce(usize) -> Result<usize>,
     ) -> Result<LossSum> {
-        // The first evaluation stays on the tape: its adjoint comes last.
+        // The first evaluation stays on the tape, because its adjoint comes last.
         self.flow.keep_evaluations(true);
         self.flow.start()?;
         self.flow.keep_evaluations(false);
@@ -126,14 +128,15 @@ impl<const D: usize> Run<'_, D> {
         Ok(loss)
     }
 
-    /// Bytes of the neighbour lists as they stand, and of the masks of who is near, chunk by chunk.
+    /// Bytes of the current neighbour lists and of their masks, chunk by chunk.
     fn lists(&self) -> Vec<usize> {
         let neighbours = self.flow.world().resource::<Neighbours<D>>();
         neighbours.chunks.iter().map(|chunk| chunk.bytes() + chunk.most_masks()).collect()
     }
 
-    /// Most bytes that one step adds to the tape, at the end of a way forward that began with `lists`:
-    /// a chunk's list keeps its room on the way, and so has at the end the most that it ever took.
+    /// Largest memory that one step adds to the tape, after a forward sweep that began with
+    /// `lists`. A chunk's list never shrinks during the sweep, so that its size at the end is the
+    /// largest.
     fn step_bytes(&self, lists: &[usize]) -> usize {
         let most = self.lists().into_iter().zip(lists).map(|(end, &start)| end.max(start));
         let lists: usize = most.sum();
@@ -143,8 +146,8 @@ impl<const D: usize> Run<'_, D> {
         evaluation * if refreshes { 2 } else { 1 } + frame
     }
 
-    /// Runs the adjoint of `steps` steps from a snapshot that the flow now stands at, with room for
-    /// `snapshots` snapshots, that one included.
+    /// Runs the adjoint of `steps` steps, starting from the flow's current state, which is the
+    /// snapshot `from`. There is room for `snapshots` snapshots, including this one.
     fn reverse(&mut self, from: &Snapshot<D>, steps: u64, snapshots: usize) -> Result<()> {
         match steps {
             0 => return Ok(()),
@@ -179,17 +182,17 @@ impl<const D: usize> Run<'_, D> {
     }
 }
 
-/// Most steps that `snapshots` snapshots can reverse if no step is repeated more than `repeats` times:
-/// `(snapshots + repeats)! / (snapshots! repeats!)`.
+/// Number of steps, maximum, that `snapshots` snapshots can reverse if no step is repeated more
+/// than `repeats` times: `(snapshots + repeats)! / (snapshots! repeats!)`.
 fn reach(snapshots: u64, repeats: u64) -> u64 {
     (1..=repeats).fold(1_u64, |reach, k| reach.saturating_mul(snapshots + k) / k)
 }
 
-/// How far ahead the next snapshot of an optimal plan stands.
+/// Number of steps to the next snapshot of an optimal schedule.
 fn split(steps: u64, snapshots: usize) -> u64 {
     let snapshots = snapshots as u64;
     let repeats = (1..).find(|&r| reach(snapshots, r) >= steps).unwrap_or(1);
-    // The part behind the new snapshot has one snapshot less and as many repeats.
+    // The part after the new snapshot has one snapshot less and the same number of repeats.
     let behind = reach(snapshots - 1, repeats).min(steps - 1);
     (steps - behind).max(1)
 }

@@ -1,25 +1,26 @@
-//! The gradient against central differences: slow and certain.
+//! Compares a gradient with central differences: slow, but independent of all derivative code.
 
 use crate::error::Result;
 use crate::learn::{Evaluation, Learner};
 
-/// The slope of a loss along one direction, both ways.
+/// The slope of a loss along one direction, by both methods.
 #[derive(Clone, Copy, Debug)]
 pub struct ComparedSlope {
     /// The exact derivative.
     pub exact: f64,
-    /// Central differences, with the step that comes closest.
+    /// Central differences, with the step of the best agreement.
     pub central: f64,
     /// `|central − exact|/|exact|`.
     pub relative: f64,
 }
 
-/// Steps of the differences, relative to the parameter: the largest are spoilt by curvature and by
-/// pairs that turn from approaching to receding, the smallest by round-off.
+/// Steps of the differences, relative to the parameter. The largest suffer from curvature and from
+/// pairs that change from approaching to receding, the smallest from round-off.
 const STEPS: [f64; 4] = [1e-4, 1e-5, 1e-6, 1e-7];
 
-/// One component of an evaluation's gradient against central differences of the loss over `window`
-/// frames. Steps are relative to a physical parameter, and to one for a weight.
+/// Compares one component of an evaluation's gradient with central differences of the loss over
+/// `window` frames. Steps are relative to the parameter if it is physical, and absolute for a
+/// weight.
 ///
 /// # Errors
 /// [`crate::Error::Diverged`] where a neighbouring set of parameters makes a flow that diverges.
@@ -38,8 +39,8 @@ pub fn compare_component<const D: usize>(
     compare_along(learner, evaluation, (&direction, size), window)
 }
 
-/// The slope along an evaluation's gradient, which is its length, against central differences of the
-/// loss over `window` frames: one number in which every parameter has its part.
+/// Compares the slope along an evaluation's gradient, which is the gradient's norm, with central
+/// differences of the loss over `window` frames: one number to which every parameter contributes.
 ///
 /// # Errors
 /// [`crate::Error::Diverged`] as [`compare_component`].

@@ -1,27 +1,30 @@
-//! How fast sensitivities grow, and where a gradient stops being of use.
+//! The growth of sensitivities, and the horizon beyond which a gradient is useless.
 //!
-//! In developed flow neighbouring states part exponentially, and so `S = ∂(r, v)/∂θ` grows with the number
-//! of steps. The gradient stays exact; what shrinks is the change of the parameters over which it says
-//! anything, until no step that a search or a difference can take is as small.
+//! In developed flow neighbouring states diverge exponentially, and so `S = ∂(r, v)/∂θ` grows
+//! exponentially with the number of steps. The gradient stays exact, but the range of parameters in
+//! which it predicts the loss shrinks, until no step of a search or of a difference is small
+//! enough.
 
 use crate::error::{Error, Result};
 use crate::learn::Learner;
 use crate::statistics::eddy_time;
 
-/// How far the best central difference may be from a gradient that a search can follow.
+/// Relative difference between the best central difference and the gradient, up to which a search
+/// can follow the gradient.
 pub const USEFUL: f64 = 1e-3;
 
-/// What to do where a horizon is too long.
+/// The remedy for a horizon that is too long.
 pub const SHORTEN: &str = "observe fewer frames (learn.frames), let the window grow (learn.windows), or \
                            compare smoother fields (learn.mesh, fluid.smoothing_length)";
 
 /// The growth of `S` over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Growth {
-    /// `|S|` behind each step: the root of the sum of the squares of all its components.
+    /// `|S|` after each step: the root of the sum of squares of all its components.
     pub sizes: Vec<f64>,
-    /// `d ln|S| / dt`, fitted over the second half of the run; not a number where that has less than two
-    /// steps. Without chaos `|S|` grows by a power of the time, and this is about two over the run's length.
+    /// `d ln|S| / dt`, fitted over the second half of the run; NaN where that has less than two
+    /// steps. Without chaos `|S|` grows by a power of the time, and this is about two divided by
+    /// the run's length.
     pub rate: f64,
     /// The rate per step.
     pub per_step: f64,
@@ -29,10 +32,10 @@ pub struct Growth {
     pub per_eddy: f64,
 }
 
-/// Runs a prediction over the first `window` frames and follows its sensitivities.
+/// Runs a prediction for `window` steps and records the size of its sensitivities.
 ///
 /// # Errors
-/// [`Error::Diverged`] from the flow, [`Error::Input`] for a learner whose gradient is the adjoint's.
+/// [`Error::Diverged`] from the flow, [`Error::Input`] for a learner with an adjoint gradient.
 pub fn sensitivity_growth<const D: usize>(
     learner: &mut Learner<D>,
     learned: &[f64],

@@ -1,8 +1,8 @@
-//! How a flow is differentiated.
+//! Differentiation of a flow: forward sensitivities and adjoint.
 //!
-//! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and pass through the linearised step, beside
-//! the flow itself: each system of `systems/` has its tangent in the same file. The adjoint goes the
-//! other way, from the loss back through the pullback of every system, in the reverse of the step's
+//! Forward sensitivities `S = ∂(r, v)/∂θ` start at zero and are advanced by the linearised step
+//! together with the flow: each system of `systems/` has its tangent in the same file. The adjoint
+//! runs from the loss backwards through the pullback of every system, in the reverse of the step's
 //! order. Both differentiate the discrete step that is run, and agree to round-off.
 
 mod adjoint;
@@ -15,36 +15,37 @@ pub use growth::{Growth, SHORTEN, USEFUL, sensitivity_growth};
 
 use serde::{Deserialize, Serialize};
 
-/// How a gradient is found.
+/// The mode of differentiation.
 ///
 /// | way | cost in forward runs | recommended |
 /// |---|---|---|
-/// | `forward` | 6 to 10 for the first eight parameters, 0.5 to 5 more for eight more | for Levenberg–Marquardt, which needs the residual derivatives that it alone gives |
-/// | `adjoint` | about 4, for any number of parameters | for everything else; memory for the way back |
-/// | `auto` | `adjoint`, and `forward` where only that will do | default |
+/// | `forward` | 6 to 10 for the first eight parameters, 0.12 to 0.44 for each one after that | for Levenberg–Marquardt, which needs the derivatives of every residual |
+/// | `adjoint` | about 3, for any number of parameters | for everything else; needs memory for the tape |
+/// | `auto` | `adjoint`, or `forward` where `adjoint` does not suffice | default |
 ///
-/// `cargo bench --bench gradients` measures it; `train --check-gradient` prints what both cost on the
-/// scene at hand. The choice of `auto` follows from those measurements, not from the clock of the day, so
-/// that equal seeds give equal bytes.
+/// `cargo bench --bench gradients` measures the costs; `train --check-gradient` prints those of
+/// both modes for a given scene. The choice of `auto` follows from these measurements, and not from
+/// a timing at run time, so that equal seeds give equal bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Gradient {
     /// The cheaper of the two (default).
     #[default]
     Auto,
-    /// Sensitivities beside the flow.
+    /// Forward sensitivities.
     Forward,
-    /// One way back.
+    /// The adjoint.
     Adjoint,
 }
 
 impl Gradient {
-    /// The way taken: the adjoint, whatever the number of parameters, unless something only `forward` has is
-    /// needed: the derivatives of every residual, or local coupling.
+    /// The mode used: the adjoint for any number of parameters, except where only `forward` has
+    /// what is needed: the derivatives of every residual, or local coupling.
     ///
-    /// There is no number of parameters below which `forward` is cheaper: its first block costs 1.4 to 2.6
-    /// adjoints by all parameters, since the pairs are linearised and a network's weights differentiated for
-    /// one block as for twenty. `cargo bench --bench gradients` prints where the two cross.
+    /// `forward` is not cheaper for any number of parameters. Its first block costs 1.4 to 2.6
+    /// adjoints by all parameters, because linearising the pairs and differentiating a network's
+    /// weights cost the same for one block as for twenty. `cargo bench --bench gradients` prints
+    /// both costs.
     pub fn choose(self, needs_forward: bool) -> Self {
         match self {
             Self::Auto if needs_forward => Self::Forward,
@@ -63,13 +64,13 @@ impl Gradient {
     }
 }
 
-/// Which derivatives of the force a forward sensitivity keeps.
+/// Which derivatives of the force forward sensitivities include.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Coupling {
     /// All of them: the exact gradient (default, recommended).
     #[default]
     Full,
-    /// `∂Fᵢ/∂Xᵢ` alone, as the paper's Eq. (25): wrong in developed flow, kept for comparison.
+    /// Only `∂Fᵢ/∂Xᵢ`, as in the paper's Eq. (25): wrong in developed flow, kept for comparison.
     Local,
 }
