@@ -1,24 +1,24 @@
 //! Times of a recording: simulation time or a counter, never the wall clock.
 
-/// One tick of a counter (an iteration, a step) in nanoseconds: one second.
+/// Time of one tick of a counter (an iteration, a step), in nanoseconds: one second.
 const TICK: u64 = 1_000_000_000;
 
-/// The latest time written; viewers keep times as signed 64-bit nanoseconds.
+/// The latest time written, in nanoseconds; viewers store times as signed 64-bit nanoseconds.
 const LAST: u64 = i64::MAX as u64;
 
-/// Nanoseconds of a simulation time, to the nearest whole one (halves away from zero). A negative time
-/// and a time that is not a number become 0, a time beyond 292 years the largest number: the exact
-/// value stands in the message.
+/// Simulation time in nanoseconds, rounded to the nearest integer (halves away from zero). A
+/// negative time or NaN becomes 0, a time beyond 292 years the largest value; the exact time is in
+/// the message.
 pub(super) fn nanoseconds(time: f64) -> u64 {
     ((time * 1e9).round() as u64).min(LAST)
 }
 
-/// Simulation time of so many nanoseconds.
+/// Simulation time from nanoseconds.
 pub(super) fn seconds(nanoseconds: u64) -> f64 {
     nanoseconds as f64 / 1e9
 }
 
-/// Nanoseconds of a counter: one second each.
+/// Time of a counter in nanoseconds: one second each.
 pub(super) fn ticks(count: u64) -> u64 {
     count.saturating_mul(TICK).min(LAST)
 }

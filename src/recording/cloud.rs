@@ -13,7 +13,7 @@ pub(super) const WORLD: &str = "world";
 /// One saved step of a flow. Row `k` is particle `k`, in every frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
-    /// Which step.
+    /// The step.
     pub step: u64,
     /// Simulation time.
     pub time: f64,
@@ -21,7 +21,7 @@ pub struct Frame {
     pub positions: Vec<[f64; 3]>,
     /// Velocities, `[particles][3]`; the third is 0 in two dimensions.
     pub velocities: Vec<[f64; 3]>,
-    /// Densities, `[particles]`; empty where they are not known.
+    /// Densities, `[particles]`; empty where they are unknown.
     pub densities: Vec<f64>,
 }
 
@@ -29,7 +29,7 @@ impl Frame {
     /// Bytes of a particle's position, velocity and density.
     pub const BYTES: usize = 7 * size_of::<f64>();
 
-    /// Bytes of a particle's row in the file: those, its number and its colour.
+    /// Bytes of a particle's row in the file: the above, its number and its colour.
     pub const ROW: usize = Self::BYTES + 4 + 4;
 
     /// A frame from vectors of `D` = 2 or 3 numbers; in two dimensions the third is set to 0.
@@ -68,14 +68,13 @@ impl Frame {
         in_the_plane(topic, &self.positions, dimension)
     }
 
-    /// What is known of particle `k` of a frame whose columns are equally long; a density that is not known is not
-    /// a number.
+    /// Particle `k` of a frame with columns of equal length; an unknown density is NaN.
     pub(super) fn particle(&self, k: usize) -> Particle {
         let rho = self.densities.get(k).copied().unwrap_or(f64::NAN);
         (self.positions[k], self.velocities[k], rho)
     }
 
-    /// From a cloud with columns `vx`, `vy`, `vz` and, where densities are known, `rho`.
+    /// A frame from a cloud with columns `vx`, `vy`, `vz` and, where densities are known, `rho`.
     pub(super) fn from_cloud(cloud: Cloud, place: &str) -> Result<Self> {
         let known = |name: &str| {
             let found = cloud.columns.iter().find(|column| column.name == name);
@@ -103,13 +102,13 @@ impl Frame {
 /// Particles with any named columns of numbers, for instance the sensitivity to one parameter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
-    /// Which step (or iteration).
+    /// The step (or iteration).
     pub step: u64,
     /// Simulation time.
     pub time: f64,
     /// Positions, `[particles][3]`; the third is 0 in two dimensions.
     pub positions: Vec<[f64; 3]>,
-    /// What else is known of each particle.
+    /// The other columns.
     pub columns: Vec<Column>,
 }
 
@@ -130,7 +129,7 @@ impl Column {
 }
 
 impl Cloud {
-    /// Refuses columns of another length than the positions, names that are taken, and a third
+    /// Refuses columns of another length than the positions, names that are reserved, and a third
     /// coordinate in two dimensions.
     pub(super) fn check(&self, topic: &str, dimension: usize) -> Result<()> {
         let count = self.positions.len();
@@ -150,8 +149,8 @@ impl Cloud {
         in_the_plane(topic, &self.positions, dimension)
     }
 
-    /// Makes `message` the encoded `foxglove.PointCloud`; `shade[k]` is particle `k`'s fraction of the
-    /// colour scale.
+    /// Encodes the cloud as `foxglove.PointCloud` into `message`; `shade[k]` is particle `k`'s
+    /// fraction of the colour scale.
     pub(super) fn encode(&self, title: &Title<'_>, shade: &[f64], message: &mut Vec<u8>) {
         title.encode(message, self.positions.len(), |k, row| {
             let columns = self.columns.iter().map(|column| column.values[k]);
@@ -186,30 +185,30 @@ impl Cloud {
     }
 }
 
-/// A cloud as it was read.
+/// A cloud as read.
 #[derive(Debug)]
 pub(super) struct Decoded {
     pub(super) cloud: Cloud,
-    /// The numbers of its field `id`, row by row, where it has one.
+    /// The particles' numbers from the field `id`, row by row, if there is one.
     pub(super) identities: Option<Vec<f64>>,
     /// Nanoseconds of its timestamp.
     pub(super) stamp: Option<i128>,
-    /// Whether its pose moves or turns its points.
+    /// Whether its pose moves or rotates its points.
     pub(super) turned: bool,
 }
 
-/// A frame with the numbers of its particles, in ascending order.
+/// A frame and the numbers of its particles, in ascending order.
 pub(crate) struct Numbered {
     pub(crate) frame: Frame,
     pub(crate) identities: Vec<u64>,
 }
 
 impl Decoded {
-    /// The frame, its rows put into the order of the field `id`; the row is the particle's number where there is
-    /// no such field.
+    /// The frame with its rows in the order of the field `id`; without that field, rows are the
+    /// particles' numbers.
     ///
     /// # Errors
-    /// [`Error::Input`] for a number that is none, or that two particles have.
+    /// [`Error::Input`] for a number that is not valid, or that two particles have.
     pub(super) fn into_numbered(self, place: &str) -> Result<Numbered> {
         let count = self.cloud.positions.len();
         let mut frame = Frame::from_cloud(self.cloud, place)?;
@@ -278,7 +277,7 @@ fn in_the_plane(topic: &str, positions: &[[f64; 3]], dimension: usize) -> Result
     })
 }
 
-/// The rows of a cloud whose stride, fields and length have been found to agree.
+/// The rows of a cloud, after stride, fields and length have been checked against each other.
 struct Rows<'a> {
     cloud: &'a PointCloud,
     place: &'a str,
@@ -326,7 +325,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Where a number stands in its row, and of which type it is.
+/// Offset and type of a number in a row.
 #[derive(Clone, Copy)]
 struct Field {
     offset: usize,

@@ -1,7 +1,8 @@
 //! Colours of particles: a perceptually uniform map that stays visible on a dark background.
 
-/// Nine stops, evenly spaced, after the `plasma` map (Smith & van der Walt, public domain): lightness
-/// rises steadily from blue over magenta to yellow. The first three are lifted off the black.
+/// Nine evenly spaced stops, after the `plasma` map (Smith & van der Walt, public domain):
+/// lightness increases from blue over magenta to yellow. The first three are lighter than in the
+/// original, to be visible on black.
 const STOPS: [[u8; 3]; 9] = [
     [44, 28, 160],
     [82, 20, 175],
@@ -14,8 +15,8 @@ const STOPS: [[u8; 3]; 9] = [
     [240, 249, 33],
 ];
 
-/// Red, green, blue and alpha of a fraction of the scale: 0 is blue, 1 and all beyond is yellow,
-/// and a fraction that is not a number is white, so that a flow that blew up is seen to have done so.
+/// Red, green, blue and alpha of a fraction of the scale. 0 is blue, 1 and above is yellow, and NaN
+/// is white, so that a flow that blew up can be seen.
 pub fn colour(fraction: f64) -> [u8; 4] {
     if fraction.is_nan() {
         return [255; 4];
@@ -25,13 +26,14 @@ pub fn colour(fraction: f64) -> [u8; 4] {
     let (low, high, part) = (STOPS[stop], STOPS[stop + 1], place - stop as f64);
     let mix = |k: usize| {
         let (low, high) = (f64::from(low[k]), f64::from(high[k]));
-        // To the nearest whole number, halves up.
+        // Rounds to the nearest integer, halves up.
         (low + part * (high - low) + 0.5) as u8
     };
     [mix(0), mix(1), mix(2), 255]
 }
 
-/// The colours of so many fractions, looked up: a channel differs by one at most from [`colour`]'s.
+/// The colours of `count` evenly spaced fractions, as a lookup table: a channel differs by at most
+/// one from [`colour`].
 #[derive(Debug)]
 pub(super) struct Palette(Vec<[u8; 4]>);
 
@@ -43,10 +45,10 @@ impl Palette {
         Self((0..=Self::STEPS).map(step).collect())
     }
 
-    /// The colour of the nearest fraction in it.
+    /// The colour of the nearest tabulated fraction.
     #[inline]
     pub(super) fn colour(&self, fraction: f64) -> [u8; 4] {
-        // NaN becomes 0 as a place, and what lies beyond the scale an end of it.
+        // NaN becomes index 0, and fractions beyond the scale are clamped.
         let place = (fraction * Self::STEPS as f64 + 0.5) as usize;
         let found = self.0[place.min(Self::STEPS)];
         if fraction.is_nan() { [255; 4] } else { found }

@@ -1,14 +1,14 @@
-//! The Rerun dashboard of a recording: both flows, the course of learning, what the flow keeps.
+//! The Rerun dashboard of a recording: flows, course of learning, conserved quantities.
 //!
-//! The entities have the names of the recording's topics. They are logged from what [`Recording`] reads
-//! rather than by Rerun's own reader of MCAP, for four reasons: a two-dimensional flow gets
-//! two-dimensional views, a cut file can be shown as it is, iterations and steps get timelines of
+//! The entities have the names of the recording's topics. They are logged from what [`Recording`]
+//! reads and not by Rerun's own MCAP reader, for four reasons: a two-dimensional flow gets
+//! two-dimensional views, a truncated file can be shown, iterations and steps have timelines of
 //! their own, and times are durations instead of dates in 1970.
 //!
-//! It opens on the timeline `time`: seconds of simulation time for what belongs to the flow, and one
-//! second per iteration for what belongs to learning. So the particles move while the curves are seen
-//! from end to end; playing loops over the flow's frames in about ten seconds. The timelines `step` and
-//! `iteration` hold one of the two each.
+//! It opens on the timeline `time`: seconds of simulation time for the flow, and one second per
+//! iteration for learning. The particles therefore move while whole curves are visible; playback
+//! loops over the flow's frames in about ten seconds. The timelines `step` and `iteration` each
+//! hold one of the two.
 
 mod entities;
 mod layout;
@@ -26,17 +26,17 @@ use crate::{Error, Result};
 /// The name under which the viewer keeps the dashboard.
 const APPLICATION: &str = "whirls";
 
-/// How long a viewer may take to answer.
+/// Time that a viewer may take to answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Where the dashboard goes.
+/// The output of the dashboard.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// Into an `.rrd` file, which any Rerun viewer from 0.36 opens.
+    /// An `.rrd` file, which any Rerun viewer from 0.36 opens.
     Save(PathBuf),
-    /// Into a viewer that is started for it, or one that is running.
+    /// A viewer that is started, or one that is already running.
     Spawn,
-    /// Into a viewer that listens, at this address or the usual one.
+    /// A viewer that listens at this address, or at the default one.
     Connect(Option<String>),
 }
 
@@ -71,7 +71,7 @@ fn open(name: &str, target: &Target) -> Result<RecordingStream> {
     opened.map_err(|error| failure(target, &error))
 }
 
-/// Whether somebody listens at a viewer's address; the stream itself would wait for ever.
+/// Whether a viewer listens at an address; the stream itself would wait for ever.
 fn knock(target: &Target) -> Result<()> {
     let Target::Connect(url) = target else {
         return Ok(());

@@ -6,11 +6,11 @@ use super::cloud::{Cloud, Numbered};
 use super::source::Source;
 use crate::{Error, Result};
 
-/// The schema whose messages are read.
+/// The schema of the messages that are read.
 const SCHEMA: &str = "foxglove.PointCloud";
 
-/// An MCAP file of any program, with `foxglove.PointCloud` messages in protobuf: fields `x y z vx vy vz`, perhaps `rho`
-/// and `id`, in single or double precision.
+/// An MCAP file of any program, with `foxglove.PointCloud` messages in protobuf: fields
+/// `x y z vx vy vz` and optionally `rho` and `id`, in single or double precision.
 #[derive(Debug)]
 pub struct Clouds {
     place: String,
@@ -20,7 +20,7 @@ pub struct Clouds {
 /// A point cloud as particles.
 pub(crate) struct Particles {
     pub(crate) numbered: Numbered,
-    /// Nanoseconds: of its timestamp or, where it has none, of its place in the log.
+    /// Time in nanoseconds: the timestamp or, if there is none, the log time.
     pub(crate) time: i128,
 }
 
@@ -40,10 +40,11 @@ impl Clouds {
         self.source.topics_of(SCHEMA)
     }
 
-    /// The topic of that name or, where none is named, the only one with point clouds.
+    /// The topic with this name or, without a name, the only one with point clouds.
     ///
     /// # Errors
-    /// [`Error::Input`] where there is no such topic, or where there are several to choose from.
+    /// [`Error::Input`] where there is no such topic, or where a name is needed to choose one of
+    /// several.
     pub fn topic(&self, named: Option<&str>) -> Result<String> {
         let clouds = self.topics();
         if let Some(topic) = clouds.iter().find(|topic| named == Some(topic.as_str())) {
@@ -81,7 +82,7 @@ impl Clouds {
         Some(self.source.schemas.get(&channel.schema)?.name.as_str())
     }
 
-    /// How many clouds a topic has.
+    /// Number of clouds of a topic.
     pub fn count(&self, topic: &str) -> usize {
         self.source.addresses(topic).len()
     }

@@ -1,14 +1,14 @@
-//! The protobuf messages of a recording: four of Foxglove's, three of our own.
+//! The protobuf messages of a recording: standard ones of Foxglove, and some of our own.
 //!
 //! Field numbers of the `foxglove.*` messages are those published by Foxglove, so that its viewers
-//! and Rerun read them; fields that we never fill (`pose`'s optional extras, identifiers) are left out.
-//! Floating-point fields are marked `required` for one reason: a proto3 encoder drops a `-0.0`, and
-//! every value must be read back with the bits it had. On the wire they are ordinary proto3 fields.
+//! and Rerun read them; fields that are never used (`pose`'s optional extras, identifiers) are left
+//! out. Floating-point fields are marked `required`, because a proto3 encoder drops a `-0.0`, and
+//! every value must be read back with the same bits. On the wire they are ordinary proto3 fields.
 
 /// `foxglove.PointCloud`: rows of packed fields, one row per particle.
 ///
-/// Two fields of our own, with numbers far from Foxglove's, keep what its message has no room for:
-/// the exact time (its timestamp has whole nanoseconds) and the step.
+/// Two additional fields, with numbers far from Foxglove's, hold the exact time (the timestamp has
+/// whole nanoseconds) and the step.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct PointCloud {
     #[prost(message, optional, tag = "1")]
@@ -29,7 +29,7 @@ pub(super) struct PointCloud {
     pub(super) simulation_step: u64,
 }
 
-/// What stands before the rows of a [`PointCloud`], in its encoding.
+/// The part of a [`PointCloud`] before its rows, as encoded.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct CloudHead {
     #[prost(message, optional, tag = "1")]
@@ -44,7 +44,7 @@ pub(super) struct CloudHead {
     pub(super) fields: Vec<PackedElementField>,
 }
 
-/// What stands behind the rows of a [`PointCloud`], in its encoding.
+/// The part of a [`PointCloud`] after its rows, as encoded.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct CloudTail {
     #[prost(double, required, tag = "1001")]
@@ -64,7 +64,7 @@ pub(super) struct PackedElementField {
     pub(super) r#type: i32,
 }
 
-/// `foxglove.PackedElementField.NumericType`, the whole of it: the descriptor lists every value.
+/// `foxglove.PackedElementField.NumericType`, complete, because the descriptor lists every value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, prost::Enumeration)]
 #[repr(i32)]
 pub(super) enum NumericType {
@@ -103,7 +103,7 @@ pub(super) struct Quaternion {
     pub(super) w: f64,
 }
 
-/// `foxglove.Pose`; a cloud of ours always has the identity.
+/// `foxglove.Pose`; our clouds always have the identity.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub(super) struct Pose {
     #[prost(message, optional, tag = "1")]
@@ -113,21 +113,21 @@ pub(super) struct Pose {
 }
 
 impl Pose {
-    /// Whether it leaves points where they are; what is left out moves nothing.
+    /// Whether it leaves points unchanged; missing parts do not move points.
     pub(super) fn is_identity(&self) -> bool {
         let still = self.position.is_none_or(|p| p == Vector3::default());
         let turn = self.orientation.map(|q| [q.x, q.y, q.z]);
         still && turn.is_none_or(|axis| axis.iter().all(|x| x.abs() < f64::MIN_POSITIVE))
     }
 
-    /// No shift, no turn.
+    /// The identity.
     pub(super) fn identity() -> Self {
         Self { position: Some(Vector3::default()), orientation: Some(Quaternion::identity()) }
     }
 }
 
 impl Quaternion {
-    /// No turn.
+    /// No rotation.
     pub(super) fn identity() -> Self {
         Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }
@@ -170,25 +170,25 @@ pub(super) struct Log {
     pub(super) simulation_time: f64,
 }
 
-/// How serious a line of the log is (`foxglove.Log.Level`).
+/// The level of a log line (`foxglove.Log.Level`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, prost::Enumeration)]
 #[repr(i32)]
 pub enum Level {
-    /// Not said.
+    /// Unknown.
     Unknown = 0,
-    /// For whoever writes the program.
+    /// For developers.
     Debug = 1,
     /// Progress.
     Info = 2,
-    /// The run goes on, but look at this.
+    /// A warning: the run continues.
     Warning = 3,
-    /// Something failed.
+    /// An error.
     Error = 4,
-    /// The run ends here.
+    /// A fatal error: the run ends.
     Fatal = 5,
 }
 
-/// `whirls.Scene`: the scene that was run, as TOML, so that a recording can be run again.
+/// `whirls.Scene`: the scene that was run, as TOML, so that the run can be repeated.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct Scene {
     #[prost(string, tag = "1")]
@@ -201,16 +201,16 @@ pub(super) struct Scene {
 /// [`RunInfo::parameters`](super::RunInfo::parameters).
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TrainStep {
-    /// Which iteration, from 0.
+    /// The iteration, from 0.
     #[prost(uint64, tag = "1")]
     pub iteration: u64,
-    /// The whole loss.
+    /// The total loss.
     #[prost(double, required, tag = "2")]
     pub loss: f64,
-    /// Its part from trajectories.
+    /// The trajectory part.
     #[prost(double, required, tag = "3")]
     pub loss_trajectory: f64,
-    /// Its part from fields.
+    /// The field part.
     #[prost(double, required, tag = "4")]
     pub loss_field: f64,
     /// log₁₀ of the loss (viewers have no logarithmic axis).
@@ -219,34 +219,33 @@ pub struct TrainStep {
     /// Euclidean norm of the gradient.
     #[prost(double, required, tag = "6")]
     pub gradient_norm: f64,
-    /// The optimiser's scale of a step: a learning rate, or the damping of a Gauss–Newton step.
+    /// The optimiser's step scale: a learning rate, or the damping of a Gauss–Newton step.
     #[prost(double, required, tag = "7")]
     pub learning_rate_or_damping: f64,
-    /// How many frames of the truth were compared with.
+    /// Number of frames of the truth in the loss.
     #[prost(uint64, tag = "8")]
     pub window: u64,
-    /// The parameters at which loss and gradient were taken.
+    /// The parameters at which loss and gradient were evaluated.
     #[prost(double, repeated, tag = "9")]
     pub parameters: Vec<f64>,
     /// Derivative of the loss by each parameter.
     #[prost(double, repeated, tag = "10")]
     pub gradients: Vec<f64>,
-    /// The true parameters; empty when they are not known.
+    /// The true parameters; empty if they are unknown.
     #[prost(double, repeated, tag = "11")]
     pub truth: Vec<f64>,
-    /// log₁₀ of each parameter's relative error; empty when the truth is not known.
+    /// log₁₀ of each parameter's relative error; empty if the truth is unknown.
     #[prost(double, repeated, tag = "12")]
     pub log10_error: Vec<f64>,
-    /// The loss's part from the statistics of velocity increments; zero in recordings that are older
-    /// than it.
+    /// The part from statistics of velocity increments; zero in recordings older than this field.
     #[prost(double, required, tag = "13")]
     pub loss_kl: f64,
 }
 
 impl TrainStep {
-    /// The smallest logarithm of an error that [`with_logarithms`](Self::with_logarithms) gives: below
-    /// it an `f64` has no digits left, and a plot of −∞ would be empty. A loss is a sum of squares and
-    /// may go down to twice that.
+    /// Lower bound of the logarithm of an error in [`with_logarithms`](Self::with_logarithms):
+    /// below it an `f64` has no digits left, and −∞ could not be plotted. A loss is a sum of
+    /// squares, with twice that bound.
     pub const LOG10_FLOOR: f64 = -17.0;
 
     /// The same step with `log10_loss` and `log10_error` filled in from the loss, the parameters and
@@ -263,19 +262,20 @@ impl TrainStep {
     }
 }
 
-/// log₁₀ of a magnitude, not below a floor; what is not a number stays so.
+/// log₁₀ of a magnitude, with a lower bound; NaN stays NaN.
 pub(super) fn log10(value: f64, floor: f64) -> f64 {
     if value.is_nan() { value } else { value.abs().log10().max(floor) }
 }
 
-/// `whirls.Conservation`: what a flow should keep, at one step (topic `/diag/conservation`).
+/// `whirls.Conservation`: conserved quantities of a flow at one step (topic `/diag/conservation`).
 ///
-/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one per
-/// system that accelerates them: round-off if that system conserves momentum. They take force
-/// evaluations of their own, and are empty at steps where nobody asked (`record.momentum_every`).
+/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one
+/// per system that accelerates them: round-off if that system conserves momentum. They need
+/// additional force evaluations, and are empty at steps where they are not requested
+/// (`record.momentum_every`).
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Conservation {
-    /// Which step, from 0.
+    /// The step, from 0.
     #[prost(uint64, tag = "1")]
     pub step: u64,
     /// Simulation time.
@@ -311,22 +311,22 @@ pub struct Conservation {
     /// Names of the parts of all terms that accelerate particles.
     #[prost(string, repeated, tag = "12")]
     pub terms: Vec<String>,
-    /// `Σ m a` of each of them, one vector after another.
+    /// `Σ m a` of each part, one vector after another.
     #[prost(double, repeated, tag = "13")]
     pub momentum_terms: Vec<f64>,
 }
 
-/// `whirls.Values`: named numbers at one step, such as the errors of several models (any topic of its
-/// own).
+/// `whirls.Values`: named numbers at one step, such as the errors of several models (on any other
+/// topic).
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Values {
-    /// Which step, from 0.
+    /// The step, from 0.
     #[prost(uint64, tag = "1")]
     pub step: u64,
     /// Simulation time.
     #[prost(double, required, tag = "2")]
     pub time: f64,
-    /// What each number is: the same names in every message of a topic.
+    /// The names of the numbers: the same in every message of a topic.
     #[prost(string, repeated, tag = "3")]
     pub names: Vec<String>,
     /// The numbers.

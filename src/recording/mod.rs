@@ -1,4 +1,4 @@
-//! One MCAP file per run: written while it runs, read back bit for bit, rescued when it was killed.
+//! One MCAP file per run: written during the run, read back bit for bit, recovered after a kill.
 //!
 //! | topic | message | time | written by |
 //! |---|---|---|---|
@@ -12,15 +12,16 @@
 //! | `/scene` | `whirls.Scene` | 0 | [`Recorder::create`] |
 //! | `/tf` | `foxglove.FrameTransforms` (`tf#/` → `world`) | 0 | [`Recorder::create`] |
 //!
-//! The metadata record `whirls.run` is [`RunInfo`]; the scene is an attachment, too. A row of a particle
-//! cloud is x y z vx vy vz rho (FLOAT64), id (UINT32), red green blue alpha (UINT8): 64 bytes. A
-//! row without a density, 56 bytes, is one of a flow whose densities are not known. Rows are read in the order of
-//! their ids. Such a file opens as it is in Rerun (0.36 and later) and in Foxglove.
+//! The metadata record `whirls.run` is [`RunInfo`]; the scene is also an attachment. A row of a
+//! particle cloud is x y z vx vy vz rho (FLOAT64), id (UINT32), red green blue alpha (UINT8): 64
+//! bytes. If densities are unknown, rows have no `rho` and are 56 bytes long. Rows are read in the
+//! order of their ids. The file opens directly in Rerun (0.36 and later) and in Foxglove.
 //!
-//! A file gets its name when it is complete, see [`crate::output`]: until then it is called `NAME.unfinished.mcap`, can
-//! be looked at, and is found by [`Recording::open`] where there is no file of the name yet.
+//! A file gets its name when it is complete, see [`crate::output`]. Until then it is called
+//! `NAME.unfinished.mcap`; it can be read, and [`Recording::open`] finds it if there is no complete
+//! file.
 //!
-//! A particle message has a chunk of its own, so one frame can be read without its neighbours and
+//! Each particle message has its own chunk, so that one frame can be read without the others, and
 //! numbers without any frame. Times are simulation times or counters, never the wall clock: equal
 //! inputs give equal bytes.
 
@@ -56,15 +57,15 @@ pub use run_info::RunInfo;
 /// Name of the metadata record of a run.
 const RUN: &str = "whirls.run";
 
-/// What to do about a file whose content contradicts itself.
+/// The remedy for a file with contradictory content.
 const DAMAGED: &str = "the file is damaged or was not written by whirls: try `replay --recover`";
 
-/// Which of two flows.
+/// One of two flows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Flow {
-    /// The flow that was given or generated to learn from.
+    /// The flow that was given or generated as the truth.
     Truth,
-    /// The flow that the learned model makes.
+    /// The flow of the learned model.
     Learned,
 }
 
@@ -81,7 +82,7 @@ impl Flow {
     }
 }
 
-/// What [`Recorder::finish`] wrote.
+/// Size of what [`Recorder::finish`] wrote.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Summary {
     /// Size of the file.
@@ -90,7 +91,7 @@ pub struct Summary {
     pub messages: u64,
 }
 
-/// Topics with a meaning.
+/// Reserved topics.
 mod topic {
     use super::Flow;
     use super::schemas::Schema;
@@ -101,7 +102,7 @@ mod topic {
     pub(super) const SCENE: &str = "/scene";
     pub(super) const TRANSFORM: &str = "/tf";
 
-    /// The channels that every recording has, used or not.
+    /// The channels of every recording, used or not.
     pub(super) const OF_EVERY_RUN: [(&str, Schema); 5] = [
         (SCENE, Schema::Scene),
         (TRANSFORM, Schema::FrameTransforms),

@@ -1,4 +1,4 @@
-//! What the recorder's thread is told to write, and how it does.
+//! The orders to the recorder's writing thread, and their execution.
 
 use std::sync::mpsc::{Receiver, Sender, SyncSender};
 
@@ -10,7 +10,7 @@ use super::sink::{Entry, Sink};
 use super::{Summary, clock, topic};
 use crate::Result;
 
-/// What the writing thread is told to do.
+/// An order to the writing thread.
 pub(super) enum Order {
     /// An encoded cloud, with the times of its message.
     Cloud {
@@ -35,7 +35,7 @@ pub(super) enum Order {
     Finish,
 }
 
-/// The writing thread: obeys until the queue is closed, then completes the file.
+/// The writing thread: executes orders until the queue is closed, then completes the file.
 pub(super) fn obey(
     mut sink: Sink,
     orders: &Receiver<Order>,
@@ -46,7 +46,8 @@ pub(super) fn obey(
         match order {
             Order::Cloud { topic, times, message } => {
                 write_cloud(&mut sink, &topic, times, &message)?;
-                // The memory of the last clouds is not waited for.
+                // The recorder may be gone, and its receiver with it: then the memory is simply
+                // freed.
                 let _ = written.send(message);
             }
             Order::TrainStep(step) => {
@@ -73,7 +74,7 @@ pub(super) fn obey(
             }
             Order::Checkpoint(done) => {
                 sink.flush()?;
-                // The receiver may be gone; the flush is done all the same.
+                // The receiver may be gone; the flush has been done anyway.
                 let _ = done.send(());
             }
             Order::Finish => named = true,

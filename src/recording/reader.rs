@@ -1,4 +1,4 @@
-//! [`Recording`]: what a run has recorded, read back bit for bit.
+//! [`Recording`]: reads a recording back bit for bit.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,8 +14,8 @@ use crate::{Error, Result};
 
 /// A recording, opened for reading.
 ///
-/// Opening reads the lengths of the chunks and the small ones that name the channels; frames are read
-/// from the file when they are asked for.
+/// Opening reads the lengths of the chunks, and the small chunks that name the channels; frames are
+/// read from the file when they are requested.
 #[derive(Debug)]
 pub struct Recording {
     place: String,
@@ -28,16 +28,16 @@ pub struct Recording {
 pub struct LogLine {
     /// Simulation time.
     pub time: f64,
-    /// How serious it is.
+    /// Its level.
     pub level: Level,
-    /// What it says.
+    /// Its text.
     pub text: String,
 }
 
 impl Recording {
-    /// Opens a recording, also of a run that was killed: then what is there can be read, and
-    /// [`is_truncated`](Self::is_truncated) says so. Where no file has the name yet, the unfinished one is opened
-    /// ([`crate::output`]).
+    /// Opens a recording, also that of a killed run: then the part that was written can be read,
+    /// and [`is_truncated`](Self::is_truncated) is true. If no file has the name yet, the
+    /// unfinished one is opened ([`crate::output`]).
     ///
     /// # Errors
     /// [`Error::File`] if the file cannot be read, [`Error::Input`] if it is not an MCAP file, was
@@ -54,17 +54,17 @@ impl Recording {
         Ok(Self { place, source, run })
     }
 
-    /// What is known of the run as a whole.
+    /// Metadata of the run.
     pub fn run(&self) -> &RunInfo {
         &self.run
     }
 
-    /// Whether the file ends before its end: the run was killed, or the file cut.
+    /// Whether the file is incomplete: the run was killed, or the file truncated.
     pub fn is_truncated(&self) -> bool {
         self.source.truncated
     }
 
-    /// How many messages each topic has; topics without any are left out.
+    /// Number of messages of each topic; topics without messages are left out.
     pub fn counts(&self) -> BTreeMap<String, u64> {
         self.source.counts()
     }
@@ -83,7 +83,7 @@ impl Recording {
         self.source.topics_of(schema.name())
     }
 
-    /// How many frames a flow has.
+    /// Number of frames of a flow.
     pub fn frame_count(&self, flow: Flow) -> usize {
         self.source.addresses(flow.topic()).len()
     }
@@ -93,8 +93,8 @@ impl Recording {
         self.cloud_times(flow.topic())
     }
 
-    /// Frame `k` of a flow, in the order of writing; its rows are in the order of the particles' numbers, the field
-    /// `id`.
+    /// Frame `k` of a flow, in the order of writing; its rows are in the order of the field `id`,
+    /// the particles' numbers.
     ///
     /// # Errors
     /// [`Error::Input`] if there is no such frame or its chunk is damaged.
@@ -143,7 +143,7 @@ impl Recording {
         decode_all(&self.source, topic, &self.place)
     }
 
-    /// All records of what the flow should keep.
+    /// All records of conserved quantities.
     ///
     /// # Errors
     /// [`Error::Input`] if one is damaged.
@@ -163,7 +163,7 @@ impl Recording {
     }
 }
 
-/// The scene's text; empty if the file was cut before it.
+/// The scene's text; empty if the file ends before it.
 fn scene(source: &Source, place: &str) -> Result<String> {
     let scenes = decode_all::<Scene>(source, topic::SCENE, place)?;
     Ok(scenes.into_iter().next().map(|scene| scene.toml).unwrap_or_default())

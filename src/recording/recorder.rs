@@ -1,4 +1,4 @@
-//! [`Recorder`]: the writer of a recording, on a thread of its own.
+//! [`Recorder`]: writes a recording, on a separate thread.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
@@ -13,28 +13,28 @@ use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
 use crate::output::Output;
 use crate::{Error, Result};
 
-/// How many messages may wait for the disk before the run waits for it.
+/// Length of the queue, in messages, beyond which the run waits for the disk.
 const QUEUE: usize = 8;
 
 /// The columns of a flow's particles.
 const WITH_RHO: &[&str] = &["vx", "vy", "vz", "rho"];
 
-/// Those of a flow whose densities are not known.
+/// The columns without densities.
 const WITHOUT_RHO: &[&str] = &["vx", "vy", "vz"];
 
-/// The largest cloud, in bytes: readers refuse a larger chunk.
+/// Size of a cloud in bytes, maximum: readers refuse a larger chunk.
 const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 
 /// Writes one run into one MCAP file.
 ///
-/// Particles become the bytes of their message at once, coloured, in one pass on all threads; checksums,
-/// compressing and writing happen on a thread of their own behind a queue of eight messages, from
-/// which the memory of each cloud comes back to be used again. When the disk cannot keep up the run
-/// waits, and no message is lost. A failure to write is returned by the next call, by those after it, and by
-/// [`finish`](Self::finish). The file has its final name only when it is finished, and an unfinished one until then,
-/// see [`Output`]. Dropping the recorder (also while a panic unwinds) makes it whole under that one; of a killed run
-/// everything up to the last chunk can be read, and [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give
-/// equal bytes.
+/// Particles are encoded at once, with colours, in one pass on all threads. Checksums, compression
+/// and writing happen on a separate thread after a queue of eight messages, which returns the
+/// memory of each cloud for reuse. If the disk cannot keep up the run waits, and no message is
+/// lost. A failure to write is returned by the next call, by all later calls, and by
+/// [`finish`](Self::finish). The file gets its final name when it is finished, and has an
+/// unfinished name until then, see [`Output`]. Dropping the recorder (also during a panic)
+/// completes the file under the unfinished name. After a kill everything up to the last chunk can
+/// be read; [`checkpoint`](Self::checkpoint) ends a chunk. Equal inputs give equal bytes.
 ///
 /// ```no_run
 /// use whirls::recording::{Flow, Frame, Recorder, RunInfo};
@@ -56,31 +56,31 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 /// ```
 #[derive(Debug)]
 pub struct Recorder {
-    /// Where the file is while it is written.
+    /// The file while it is written.
     path: PathBuf,
     dimension: usize,
-    /// Fraction of the colour scale of each unit of speed.
+    /// Fraction of the colour scale per unit of speed.
     per_speed: f64,
     palette: Palette,
     queue: Option<SyncSender<Order>>,
-    /// Clouds that have been written, to be written over.
+    /// Memory of clouds that have been written, to be reused.
     written: Receiver<Vec<u8>>,
     thread: Option<JoinHandle<Result<Summary>>>,
-    /// Why writing has stopped.
+    /// The error that stopped the writing thread.
     failed: Option<Error>,
 }
 
 impl Recorder {
-    /// Most bytes per particle on their way to the disk: the frames that wait, the one that is written and
-    /// the one that is made.
+    /// Memory on the way to the disk, in bytes per particle, maximum: the frames in the queue, the
+    /// one being written and the one being encoded.
     pub const MOST_BYTES: usize = (QUEUE + 2) * Frame::ROW;
 
-    /// Creates the file, and the folders it lies in, and begins it with what is known of the run. A file that has
-    /// the name is replaced when this one is finished.
+    /// Creates the file and its folders, and writes the metadata of the run. An existing file of
+    /// that name is replaced when this one is finished.
     ///
     /// # Errors
-    /// [`Error::Input`] if `run` is impossible or another run writes the file, [`Error::File`] if it cannot be
-    /// created.
+    /// [`Error::Input`] if `run` is invalid or another run writes the file, [`Error::File`] if it
+    /// cannot be created.
     pub fn create(path: &Path, run: &RunInfo) -> Result<Self> {
         run.to_record()?;
         Self::begin(Output::create(path)?, run)
@@ -89,7 +89,7 @@ impl Recorder {
     /// Begins a file that was reserved before.
     ///
     /// # Errors
-    /// [`Error::Input`] if `run` is impossible, [`Error::File`] if the file cannot be written.
+    /// [`Error::Input`] if `run` is invalid, [`Error::File`] if the file cannot be written.
     pub fn begin(output: Output, run: &RunInfo) -> Result<Self> {
         let path = output.unfinished().to_owned();
         let mut sink = Sink::create(output, run.to_record()?, &run.scene_toml)?;
@@ -125,7 +125,7 @@ impl Recorder {
     /// `/NAME/particles`.
     ///
     /// # Errors
-    /// As [`frame`](Self::frame), and [`Error::Input`] for the name of a flow that has a meaning.
+    /// As [`frame`](Self::frame), and [`Error::Input`] for a reserved name.
     pub fn frame_of(&mut self, name: &str, frame: Frame) -> Result<()> {
         let topic = format!("/{name}/particles");
         own_topic(&topic)?;
@@ -139,7 +139,8 @@ impl Recorder {
         self.order_rows((topic, columns), now, count, |k| frame.particle(k))
     }
 
-    /// Records `count` particles of a flow, coloured by speed; `particle(k)` is asked for on any thread.
+    /// Records `count` particles of a flow, coloured by speed; `particle(k)` may be called on any
+    /// thread.
     ///
     /// # Errors
     /// [`Error::Input`] if they are too many; [`Error::File`] if writing has failed.
@@ -168,7 +169,7 @@ impl Recorder {
             let ([x, y, z], [vx, vy, vz], rho) = particle(k);
             let speed = (vx * vx + vy * vy + vz * vz).sqrt();
             let colour = palette.colour(per_speed * speed);
-            // A row without a density ends before it.
+            // A row without a density is shorter.
             write_row((k, row), [x, y, z, vx, vy, vz, rho], colour);
         });
         self.order_cloud(topic, &title, message)
@@ -207,7 +208,7 @@ impl Recorder {
         self.order(Order::TrainStep(step))
     }
 
-    /// Records what the flow should keep.
+    /// Records conserved quantities of the flow.
     ///
     /// # Errors
     /// [`Error::File`] if writing has failed.
@@ -252,7 +253,7 @@ impl Recorder {
         }))
     }
 
-    /// Ends the chunk and returns when the operating system has it: what was recorded until now
+    /// Ends the chunk, and returns when the operating system has it: everything recorded so far
     /// survives a kill.
     ///
     /// # Errors
@@ -272,7 +273,7 @@ impl Recorder {
         self.close()
     }
 
-    /// Completes the file and leaves it under its unfinished name: that of a run which was interrupted.
+    /// Completes the file under its unfinished name: for a run that was interrupted.
     ///
     /// # Errors
     /// [`Error::File`] if writing has failed, now or earlier.
@@ -280,7 +281,8 @@ impl Recorder {
         self.close()
     }
 
-    /// Finishes the file of a run that ended, and leaves that of a run which was interrupted.
+    /// Finishes the file of a run that ended; completes that of an interrupted run under its
+    /// unfinished name.
     ///
     /// # Errors
     /// [`Error::File`] if writing has failed, now or earlier.
@@ -291,7 +293,7 @@ impl Recorder {
         }
     }
 
-    /// Memory for a message: that of a cloud which has been written, where there is one.
+    /// Memory for a message: that of a cloud already written, if there is one.
     fn room(&self) -> Vec<u8> {
         self.written.try_recv().unwrap_or_default()
     }
@@ -306,7 +308,7 @@ impl Recorder {
         if sent { Ok(()) } else { Err(self.failure()) }
     }
 
-    /// Why the writing thread has stopped.
+    /// The error that stopped the writing thread.
     fn failure(&mut self) -> Error {
         let stopped = std::io::Error::other("writing has stopped");
         self.close().err().unwrap_or_else(|| Error::write(&self.path, stopped))
@@ -328,7 +330,7 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // A caller that wants to know of a failure calls `finish`.
+        // A caller that needs the error calls `finish`.
         drop(self.close());
     }
 }
@@ -347,7 +349,7 @@ fn must_fit(topic: &str, title: &Title<'_>, count: usize) -> Result<()> {
     ))
 }
 
-/// Refuses a topic that means something else.
+/// Refuses a reserved topic.
 fn own_topic(topic: &str) -> Result<()> {
     if topic.starts_with('/') && !topic::is_reserved(topic) {
         return Ok(());

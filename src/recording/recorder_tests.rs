@@ -29,7 +29,7 @@ fn no_frame_is_lost_and_memory_stays_bounded_when_the_disk_stands_still() -> Res
     let folder = std::env::temp_dir().join(format!("whirls-still-{}", std::process::id()));
     let path = folder.join("still.mcap");
     let mut recorder = recorder(&path)?;
-    // The writing thread waits here until its answer is taken.
+    // The writing thread blocks here until its answer is received.
     let (done, wait) = sync_channel(0);
     recorder.order(Order::Checkpoint(done))?;
     let accepted = AtomicUsize::new(0);
@@ -49,7 +49,7 @@ fn no_frame_is_lost_and_memory_stays_bounded_when_the_disk_stands_still() -> Res
         assert!(wait.recv().is_ok());
         run.join().unwrap_or_else(|_| panic!("the run panicked"))
     })?;
-    // All the memory that was ever made has come back.
+    // All memory that was allocated has been returned.
     let made: Vec<Vec<u8>> = recorder.written.try_iter().collect();
     let bytes: usize = made.iter().map(Vec::capacity).sum();
     assert!(made.len() <= QUEUE + 2, "{} clouds in memory", made.len());

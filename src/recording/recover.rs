@@ -1,4 +1,4 @@
-//! [`recover`]: what a killed run left, as a complete file.
+//! [`recover`]: makes a complete file from that of a killed run.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,26 +15,26 @@ use super::{Summary, topic};
 use crate::output::{Output, must_differ};
 use crate::{Error, Result};
 
-/// What [`recover`] brought over.
+/// The result of [`recover`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recovered {
     /// Messages in the new file.
     pub messages: u64,
-    /// Whole chunks that were found.
+    /// Whole chunks found.
     pub chunks: u64,
-    /// Chunks whose content was damaged; they were left out.
+    /// Chunks with damaged content, which were left out.
     pub chunks_lost: u64,
     /// Size of the new file.
     pub bytes: u64,
 }
 
-/// Copies every whole message of `input` into a complete file at `output`. The input is not changed;
-/// the output appears under its name only when it is complete.
+/// Copies every whole message of `input` into a complete file at `output`. The input is not
+/// changed; the output gets its name when it is complete.
 ///
 /// # Errors
-/// [`Error::File`] if a file cannot be read or written, or holds no whole frame; [`Error::Input`] if the input is not a
-/// recording, or input and output are the same file. Where no frame of particles is whole nothing is written, and
-/// the error is one of a run that failed.
+/// [`Error::File`] if a file cannot be read or written, or holds no whole frame; [`Error::Input`]
+/// if the input is not a recording, or if input and output are the same file. If no frame of
+/// particles is whole, nothing is written, and the error is one of a failed run.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     must_differ(output, &[input])?;
     let mut source = Source::open(input)?;
@@ -42,7 +42,7 @@ pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     let record = source.record.take().ok_or_else(|| no_metadata(&place))?;
     let mut copy = Copy::default();
     let scene = copy.scene(&source);
-    // The input may be what a killed run left of this very output.
+    // The input may be the unfinished file of this very output.
     let output = Output::beside(output)?;
     let copied = Sink::create(output.clone(), record, &scene).and_then(|mut sink| {
         sink.begin(&scene)?;
@@ -59,7 +59,7 @@ pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     Ok(Recovered { messages, chunks: source.chunks.len() as u64, chunks_lost: copy.lost, bytes })
 }
 
-/// Nothing was found to recover.
+/// The error that nothing was found to recover.
 fn nothing(input: &Path, chunks: usize, lost: u64) -> Error {
     let found = format!("no frame in {chunks} chunks, of which {lost} are damaged");
     Error::File {
@@ -70,18 +70,18 @@ fn nothing(input: &Path, chunks: usize, lost: u64) -> Error {
     }
 }
 
-/// What has been met on the way through the input.
+/// What the pass through the input has found so far.
 #[derive(Default)]
 struct Copy {
     channels: BTreeMap<u16, ChannelRecord>,
     schemas: BTreeMap<u16, SchemaRecord>,
     lost: u64,
-    /// Clouds of particles that were copied.
+    /// Number of clouds of particles copied.
     frames: u64,
 }
 
 impl Copy {
-    /// The scene's text; empty if it did not reach the disk. It stands in one of the first chunks.
+    /// The scene's text; empty if it was not written. It is in one of the first chunks.
     fn scene(&mut self, source: &Source) -> String {
         for chunk in source.chunks.iter().take(2) {
             let mut found = None;
@@ -98,7 +98,7 @@ impl Copy {
         String::new()
     }
 
-    /// Copies all messages but those with which every recording begins.
+    /// Copies all messages except those that begin every recording.
     fn chunks(&mut self, source: &Source, sink: &mut Sink) -> Result<()> {
         for chunk in &source.chunks {
             let (mut written, mut frames) = (Ok(()), 0);
@@ -119,7 +119,7 @@ impl Copy {
         Ok(())
     }
 
-    /// Keeps schemas and channels; gives back a message with its topic and schema. `None` is a
+    /// Stores schemas and channels; returns a message with its topic and schema. `None` is a
     /// malformed record.
     fn meet<'a>(
         &'a mut self,

@@ -1,4 +1,4 @@
-//! The bytes of a particle cloud's message, written in one pass over the particles.
+//! Encodes a particle cloud's message in one pass over the particles.
 
 use prost::Message as _;
 use rayon::prelude::*;
@@ -7,33 +7,33 @@ use super::clock;
 use super::cloud::WORLD;
 use super::messages::{CloudHead, CloudTail, NumericType, PackedElementField, Pose};
 
-/// Rows that one task writes.
+/// Rows per parallel task.
 const ROWS: usize = 1024;
 
-/// What stands before the rows: field 6, length-delimited.
+/// The protobuf key before the rows: field 6, length-delimited.
 const DATA: u8 = (6 << 3) | 2;
 
 /// Position, velocity and density of a particle; third coordinates are 0 in two dimensions.
 pub(crate) type Particle = ([f64; 3], [f64; 3], f64);
 
-/// What the message of a cloud says of all its rows.
+/// The properties that all rows of a cloud share.
 pub(super) struct Title<'a> {
     pub(super) step: u64,
     pub(super) time: f64,
-    /// Names of the numbers behind x, y and z.
+    /// Names of the columns after x, y and z.
     pub(super) columns: &'a [&'a str],
 }
 
 impl Title<'_> {
-    /// Bytes of a row: its numbers, its own number and its colour.
+    /// Bytes of a row: its columns, its number and its colour.
     pub(super) fn stride(&self) -> usize {
         8 * (3 + self.columns.len()) + 4 + 4
     }
 
-    /// Makes `message` the encoded `foxglove.PointCloud` of `count` rows; `write` is given each row's
-    /// number and its words of eight bytes, of which the last is the row's number and colour.
+    /// Encodes a `foxglove.PointCloud` of `count` rows into `message`. `write` gets each row's
+    /// index and its words of eight bytes; the last word holds the row's number and colour.
     ///
-    /// What the message held is written over, so that one that was written before costs no new memory.
+    /// `message` is overwritten and its memory reused.
     pub(super) fn encode(
         &self,
         message: &mut Vec<u8>,
@@ -80,7 +80,7 @@ impl Title<'_> {
     }
 }
 
-/// Writes numbers, one word each, then the row's number and its colour.
+/// Writes the columns, one word each, then the row's number and its colour.
 #[inline(always)]
 pub(super) fn write_row(
     (k, row): (usize, &mut [[u8; 8]]),

@@ -1,16 +1,16 @@
-//! What is known of a run as a whole, kept in the metadata record `whirls.run`.
+//! Metadata of a run, in the record `whirls.run`.
 
 use std::collections::BTreeMap;
 
 use crate::{Error, Result};
 
-/// The version of this layout of topics and fields.
+/// Version of the layout of topics and fields.
 const FORMAT: &str = "1";
 
 /// Keys of the metadata record that are written here.
 const OWN_KEYS: [&str; 5] = ["format", "dimension", "box_length", "speed_scale", "parameters"];
 
-/// What is known of a run as a whole.
+/// Metadata of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunInfo {
     /// The scene, as TOML from which the run can be repeated.
@@ -23,15 +23,15 @@ pub struct RunInfo {
     pub speed_scale: f64,
     /// Names of the learned parameters, in the order of [`TrainStep::parameters`](super::TrainStep).
     pub parameters: Vec<String>,
-    /// Anything else worth keeping: seed, precision, model.
+    /// Other metadata: seed, precision, model.
     pub metadata: BTreeMap<String, String>,
 }
 
 impl RunInfo {
-    /// Whether this can be a run.
+    /// Checks the metadata.
     ///
     /// # Errors
-    /// If the dimension, the box or the scale is impossible, or a key of `metadata` is one of ours.
+    /// If the dimension, the box or the scale is impossible, or if a key of `metadata` is reserved.
     fn check(&self) -> Result<()> {
         let place = "recording";
         let refuse = |expected: &str, found: String| {
@@ -70,10 +70,10 @@ impl RunInfo {
         Ok(record)
     }
 
-    /// The run that a metadata record and a scene describe; `place` is the file.
+    /// The metadata from a record and a scene; `place` is the file.
     ///
     /// # Errors
-    /// If a key is missing or its value impossible.
+    /// If a key is missing or its value is impossible.
     pub(super) fn from_record(
         mut record: BTreeMap<String, String>,
         scene_toml: String,

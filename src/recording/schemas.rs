@@ -1,7 +1,7 @@
 //! Descriptors of the messages, written into each recording so that any reader can decode it.
 //!
-//! Built in code with `prost-types`, so that no protobuf compiler is needed; a test holds them to the
-//! messages as they are encoded.
+//! They are built in code with `prost-types`, so that no protobuf compiler is needed; a test
+//! compares them with encoded messages.
 
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -36,7 +36,7 @@ impl Schema {
         }
     }
 
-    /// The serialised `FileDescriptorSet` of the message and of all that it refers to.
+    /// The serialised `FileDescriptorSet` of the message and of everything that it refers to.
     pub(super) fn descriptors(self) -> Vec<u8> {
         let file = match self {
             Self::PointCloud | Self::FrameTransforms | Self::Log => {

@@ -17,10 +17,10 @@ use super::{RUN, Summary, topic};
 use crate::output::Output;
 use crate::{Error, Result};
 
-/// A chunk of small messages is closed when it holds more bytes than this.
+/// Size in bytes above which a chunk of small messages is closed.
 const CHUNK_BYTES: usize = 256 << 10;
 
-/// One message, as it goes into the file.
+/// One message to be written.
 pub(super) struct Entry<'a> {
     pub(super) topic: &'a str,
     pub(super) log_time: u64,
@@ -35,7 +35,8 @@ struct Channel {
     messages: u32,
 }
 
-/// An MCAP file being written. Dropped, it is whole, but unfinished by name; killed, it can be read up to the last
+/// An MCAP file being written. If it is dropped, it is complete but keeps its unfinished name;
+/// after a kill it can be read up to the last chunk.
 /// chunk.
 pub(super) struct Sink {
     output: Output,
@@ -68,7 +69,7 @@ impl Sink {
         Ok(sink)
     }
 
-    /// Makes the channels of every run and writes the messages it begins with: the scene and the
+    /// Creates the channels of every run and writes its first messages: the scene, and the
     /// transform that places `world`.
     pub(super) fn begin(&mut self, scene_toml: &str) -> Result<()> {
         for (topic, schema) in topic::OF_EVERY_RUN {
@@ -89,8 +90,8 @@ impl Sink {
         self.flush()
     }
 
-    /// Makes a channel unless the topic has one. The channel of messages that have chunks of their own
-    /// goes into the first such chunk.
+    /// Creates a channel unless the topic has one. If its messages have chunks of their own, the
+    /// channel is written into the first such chunk.
     pub(super) fn channel(
         &mut self,
         topic: &str,
@@ -112,7 +113,7 @@ impl Sink {
         Ok(())
     }
 
-    /// Writes a message to a topic whose channel has been made.
+    /// Writes a message to a topic with an existing channel.
     pub(super) fn write(&mut self, entry: &Entry<'_>) -> Result<()> {
         if entry.alone && self.open_bytes > 0 {
             self.flush()?;
@@ -140,12 +141,12 @@ impl Sink {
         self.attempt(|writer| writer.attach(&attachment(name, media_type, data)))
     }
 
-    /// How many messages the topic has.
+    /// Number of messages of the topic.
     pub(super) fn count(&self, topic: &str) -> u64 {
         self.channels.get(topic).map_or(0, |channel| channel.messages.into())
     }
 
-    /// Closes the chunk and hands everything to the operating system.
+    /// Closes the chunk and passes everything to the operating system.
     pub(super) fn flush(&mut self) -> Result<()> {
         self.open_bytes = 0;
         self.attempt(Writer::flush)
@@ -182,24 +183,24 @@ fn attachment<'a>(name: &str, media_type: &str, data: &'a [u8]) -> Attachment<'a
     }
 }
 
-/// Level of Zstandard: it shortens what repeats, and no level finds more in the digits of turbulent
-/// doubles for what it costs.
+/// Compression level of Zstandard: a fast one. It removes repetition, and a higher level gains
+/// nothing on the digits of turbulent `f64` that is worth its time.
 const LEVEL: i32 = -5;
 
-/// How a recording is written. In two dimensions a quarter of every cloud is zeros, which compressing takes
-/// out; in three it would find nothing, for more time than everything else takes together. The number of
-/// threads is set because it changes the bytes.
+/// The options of the MCAP writer. In two dimensions a quarter of every cloud is zeros, which
+/// compression removes. In three it would gain nothing and take longer than everything else
+/// together. The number of threads is fixed because it changes the bytes.
 fn options(flat: bool) -> WriteOptions {
     WriteOptions::new()
         .compression(flat.then_some(Compression::Zstd))
-        // Handed on to Zstandard as a signed number.
+        // Zstandard receives it as a signed number.
         .compression_level(LEVEL.cast_unsigned())
         .compression_threads(0)
         .chunk_size(None)
         .library(concat!("whirls ", env!("CARGO_PKG_VERSION")))
 }
 
-/// An error met while writing, as the file's.
+/// An error while writing, as that of the file.
 fn written(path: &Path, error: McapError) -> Error {
     match error {
         McapError::Io(error) => Error::write(path, error),

@@ -1,8 +1,8 @@
-//! One MCAP file being read: which chunks it has, what is in them, and where it ends.
+//! One MCAP file being read: its chunks, their contents, and its end.
 //!
-//! The file is walked from record to record and chunks are skipped, so a complete and a cut file are
-//! read in the same way, and the summary at the end (absent in a cut file) is not needed. The walk
-//! costs three small reads per chunk.
+//! The file is read from record to record and chunks are skipped. A complete and a truncated file
+//! are read in the same way, and the summary at the end, which a truncated file lacks, is not
+//! needed. This takes three small reads per chunk.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -21,14 +21,15 @@ use super::{DAMAGED, RUN};
 use crate::output::readable;
 use crate::{Error, Result};
 
-/// No chunk is unpacked to more bytes than this.
+/// Uncompressed size of a chunk in bytes, maximum.
 pub(super) const LARGEST_CHUNK: usize = 1 << 30;
 
-/// A chunk may claim this many bytes, and `EXPANSION` more per byte that it has in the file.
+/// Uncompressed size, in bytes, that any chunk may claim; it may claim `EXPANSION` more for each of
+/// its bytes in the file.
 const FREE_BYTES: usize = 1 << 20;
 const EXPANSION: usize = 1024;
 
-/// Where a chunk record is, and the log times of each channel's messages in it.
+/// Position of a chunk record, and the log times of each channel's messages in it.
 #[derive(Clone, Debug)]
 pub(super) struct Chunk {
     offset: u64,
@@ -36,7 +37,7 @@ pub(super) struct Chunk {
     pub(super) times: BTreeMap<u16, Vec<u64>>,
 }
 
-/// Where one message is: in which chunk, and which of its channel's messages there.
+/// Position of one message: its chunk, and its index among its channel's messages there.
 pub(super) struct Address {
     chunk: usize,
     channel: u16,
@@ -57,7 +58,7 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Walks the file or, where there is none of that name yet, the unfinished one.
+    /// Reads the structure of the file or, if it does not exist yet, of the unfinished one.
     ///
     /// # Errors
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file.
@@ -91,7 +92,7 @@ impl Source {
         &self.path
     }
 
-    /// Takes one record of the file into account.
+    /// Processes one record of the file.
     fn note(&mut self, code: u8, length: u64, walk: &mut Walk<'_>) -> Result<()> {
         match code {
             opcode::CHUNK => {
@@ -118,7 +119,7 @@ impl Source {
         match code {
             opcode::MESSAGE_INDEX => {
                 let (channel, times) = message_index(body)?;
-                // An index before any chunk belongs to nothing and is passed over.
+                // An index before any chunk belongs to no chunk and is skipped.
                 if let Some(chunk) = self.chunks.last_mut() {
                     chunk.times.entry(channel).or_default().extend(times);
                 }
@@ -137,8 +138,8 @@ impl Source {
         Some(())
     }
 
-    /// Looks into the chunks whose content the walk could not tell: those with channels not met
-    /// before, those without index, and the last one of a cut file.
+    /// Reads the chunks of which the contents are still unknown: those with new channels, those
+    /// without an index, and the last one of a truncated file.
     ///
     /// # Errors
     /// [`Error::Input`] if such a chunk is damaged.
@@ -155,7 +156,7 @@ impl Source {
         (0..self.chunks.len()).try_for_each(|k| self.look_into(k))
     }
 
-    /// Whether all channels with messages in a chunk have been met.
+    /// Whether all channels with messages in a chunk are known.
     fn knows(&self, k: usize) -> bool {
         self.chunks[k].times.keys().all(|channel| self.channels.contains_key(channel))
     }
@@ -182,7 +183,7 @@ impl Source {
         Ok(())
     }
 
-    /// How many messages each topic has; topics without any are left out.
+    /// Number of messages of each topic; topics without messages are left out.
     pub(super) fn counts(&self) -> BTreeMap<String, u64> {
         let mut counts = BTreeMap::new();
         for (channel, times) in self.chunks.iter().flat_map(|chunk| &chunk.times) {
@@ -204,7 +205,7 @@ impl Source {
         self.counts().into_keys().filter(|topic| has_schema(topic)).collect()
     }
 
-    /// Where the messages of a topic are, in the order of writing.
+    /// Positions of the messages of a topic, in the order of writing.
     pub(super) fn addresses(&self, topic: &str) -> Vec<Address> {
         let mut found = Vec::new();
         for (chunk, entry) in self.chunks.iter().enumerate() {
@@ -219,10 +220,11 @@ impl Source {
         found
     }
 
-    /// What `decode` makes of message `k` of a topic; `place` names it in errors.
+    /// Decodes message `k` of a topic; `place` names it in errors.
     ///
     /// # Errors
-    /// [`Error::Input`] if there is no such message or its chunk is damaged, and those of `decode`.
+    /// [`Error::Input`] if there is no such message or its chunk is damaged, and the errors of
+    /// `decode`.
     pub(super) fn read<T>(
         &self,
         (topic, k): (&str, usize),
@@ -263,8 +265,8 @@ impl Source {
         })
     }
 
-    /// Calls `each` with opcode and body of every record in a chunk, after its checksum was found
-    /// right; `None` from `each` means a malformed record.
+    /// Calls `each` with opcode and body of every record in a chunk, after checking its checksum;
+    /// `None` from `each` means a malformed record.
     ///
     /// # Errors
     /// [`Error::Input`] if the chunk is damaged, [`Error::File`] if it cannot be read.
@@ -300,7 +302,7 @@ impl Source {
         Ok(())
     }
 
-    /// Refuses a compression that this program does not know.
+    /// Refuses an unknown compression.
     fn must_unpack(&self, head: &ChunkHead<'_>, at: u64) -> Result<()> {
         let name = String::from_utf8_lossy(head.compression);
         if matches!(&*name, "" | "zstd" | "lz4") {
@@ -313,7 +315,8 @@ impl Source {
         Err(Error::input(self.place(at), expected, format!("compression {found:?}"), remedy))
     }
 
-    /// The bytes that a chunk claims to unpack to, if that can be true of so many bytes in the file.
+    /// The uncompressed size that a chunk claims, if that is plausible for its `bytes` bytes in the
+    /// file.
     fn plausible_size(&self, head: &ChunkHead<'_>, at: u64, bytes: usize) -> Result<usize> {
         let allowed = EXPANSION.saturating_mul(bytes).saturating_add(FREE_BYTES).min(LARGEST_CHUNK);
         let claimed = usize::try_from(head.uncompressed_bytes).unwrap_or(usize::MAX);
@@ -327,7 +330,7 @@ impl Source {
         Ok(claimed)
     }
 
-    /// The whole chunk record, its head included.
+    /// The whole chunk record, including its header.
     fn load(&self, chunk: &Chunk) -> Result<Vec<u8>> {
         let failed = |error| Error::read(&self.path, error);
         let wanted = HEAD as u64 + chunk.length;

@@ -1,4 +1,4 @@
-//! The walk through an MCAP file from record to record.
+//! Reads an MCAP file from record to record.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
@@ -7,7 +7,7 @@ use std::path::Path;
 use super::wire::{Bytes, HEAD, MAGIC};
 use crate::{Error, Result, files};
 
-/// What to give where a recording is wanted.
+/// The remedy where a recording is expected.
 const RECORDED: &str = "give a file that `train`, `simulate` or `import` wrote";
 
 /// A position in the file between two records.
@@ -19,7 +19,7 @@ pub(super) struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// Opens a file that can be read from any place.
+    /// Opens a file that allows random access.
     pub(super) fn open(path: &'a Path) -> Result<Self> {
         files::must_be_a_file(path)?;
         let failed = |error| Error::read(path, error);
@@ -29,7 +29,7 @@ impl<'a> Walk<'a> {
         Ok(Self { file: BufReader::new(file), path, at: 0, length })
     }
 
-    /// Passes over what every MCAP file begins with.
+    /// Skips the magic bytes of every MCAP file.
     pub(super) fn begin(&mut self) -> Result<()> {
         let found = self.body(MAGIC.len() as u64)?;
         if found.as_deref() == Some(&MAGIC) {
@@ -68,7 +68,7 @@ impl<'a> Walk<'a> {
         Ok((bytes.len() as u64 == count).then_some(bytes))
     }
 
-    /// Goes on after a number of bytes.
+    /// Skips a number of bytes.
     pub(super) fn skip(&mut self, count: u64) -> Result<()> {
         self.at += count;
         let buffered = self.file.buffer().len() as u64;

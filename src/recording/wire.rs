@@ -1,14 +1,14 @@
-//! MCAP records as bytes. Every length comes from an untrusted file: all reads are checked and nothing
-//! is allocated by a length alone.
+//! MCAP records as bytes. Every length comes from an untrusted file: all reads are checked, and no
+//! allocation has a size that only a length claims.
 
 use std::collections::BTreeMap;
 
 pub(super) const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', b'0', b'\r', b'\n'];
 
-/// Opcode (1 byte) and length (8 bytes) before each record.
+/// Bytes before each record: opcode (1 byte) and length (8 bytes).
 pub(super) const HEAD: usize = 9;
 
-/// Opcodes of the records that are looked at.
+/// Opcodes of the records that are read.
 pub(super) mod opcode {
     pub(in super::super) const FOOTER: u8 = 0x02;
     pub(in super::super) const SCHEMA: u8 = 0x03;
@@ -19,7 +19,7 @@ pub(super) mod opcode {
     pub(in super::super) const METADATA: u8 = 0x0C;
 }
 
-/// A record's bytes, read from the front; `None` where they do not suffice.
+/// A record's bytes, read from the front; `None` where there are too few.
 pub(super) struct Bytes<'a>(pub(super) &'a [u8]);
 
 impl<'a> Bytes<'a> {
@@ -45,7 +45,7 @@ impl<'a> Bytes<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Bytes after their length as four bytes.
+    /// Bytes preceded by their length as four bytes.
     pub(super) fn block(&mut self) -> Option<&'a [u8]> {
         let length = self.u32()?;
         self.take(usize::try_from(length).ok()?)
@@ -72,7 +72,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// Head of a chunk record: how its records are stored.
+/// Header of a chunk record: how its records are stored.
 pub(super) struct ChunkHead<'a> {
     pub(super) compression: &'a [u8],
     pub(super) uncompressed_bytes: u64,
@@ -91,7 +91,7 @@ impl<'a> ChunkHead<'a> {
         Some(Self { compression, uncompressed_bytes, records })
     }
 
-    /// Whether uncompressed records fill the chunk exactly.
+    /// Whether the uncompressed records fill the chunk exactly.
     pub(super) fn is_framed(&self) -> bool {
         let mut records = Bytes(self.records);
         while !records.0.is_empty() {

@@ -1,4 +1,4 @@
-//! What the dashboard shows, logged entity by entity.
+//! Logs what the dashboard shows, entity by entity.
 
 use rerun::{
     AsComponents, Boxes3D, LineStrips2D, Points2D, Points3D, RecordingStream, RecordingStreamError,
@@ -10,13 +10,13 @@ use crate::recording::messages::log10;
 use crate::recording::{Cloud, Conservation, Level, Recording, RunInfo, TrainStep, Values, colour};
 use crate::{Error, Result};
 
-/// Radius of a particle over the mean distance of particles.
+/// Radius of a particle, relative to the mean distance of particles.
 const RADIUS: f64 = 0.35;
 
-/// The box's edges.
+/// Colour of the box's edges.
 const GREY: [u8; 4] = [120, 120, 130, 160];
 
-/// Logs everything. The layout is sent before, so that a live viewer fills under one's eyes.
+/// Logs everything. The layout is sent before, so that a live viewer fills gradually.
 pub(super) fn send(
     recording: &Recording,
     content: &Content,
@@ -37,7 +37,7 @@ pub(super) fn send(
     for topic in &content.clouds {
         outline(stream, topic, run).map_err(failed)?;
     }
-    // Side by side, so that a live viewer sees the two flows move together.
+    // Alternating, so that a live viewer shows both flows moving together.
     let counts: Vec<_> = content.clouds.iter().map(|t| recording.cloud_times(t).len()).collect();
     for k in 0..counts.iter().copied().max().unwrap_or(0) {
         for (topic, _) in content.clouds.iter().zip(&counts).filter(|(_, count)| k < **count) {
@@ -73,13 +73,13 @@ fn particles(
     }
 }
 
-/// A point of the plane as the viewer, whose second axis points down, has to be given it.
+/// A point of the plane in the coordinates of the viewer, in which the second axis points down.
 fn upward(row: [f64; 3], run: &RunInfo) -> [f32; 2] {
     [row[0] as f32, (run.box_length - row[1]) as f32]
 }
 
-/// Fractions of the colour scale: the speed of a flow; of another cloud the first column over its
-/// largest magnitude, with zero in the middle of the scale.
+/// Fractions of the colour scale: the speed of a flow; for any other cloud the first column divided
+/// by its largest magnitude, with zero in the middle of the scale.
 fn shades<'a>(cloud: &'a Cloud, run: &RunInfo) -> Box<dyn Iterator<Item = f64> + 'a> {
     let scale = run.speed_scale;
     let columns = cloud.columns.as_slice();
@@ -129,7 +129,7 @@ impl Curves {
         Self { path: path.to_owned(), names, colours, width: 1.8 }
     }
 
-    /// The same hues, darker and thinner: what is aimed at, behind what is there.
+    /// The same hues, darker and thinner: target values, drawn below the current ones.
     fn faint(mut self) -> Self {
         self.colours.iter_mut().flatten().for_each(|part| *part = (f32::from(*part) * 0.6) as u8);
         Self { width: 1.0, ..self }
@@ -222,10 +222,10 @@ fn learning(
     Ok(())
 }
 
-/// A part of the loss, with its name.
+/// One part of the loss, with its name.
 type LossPart = (&'static str, fn(&TrainStep) -> f64);
 
-/// The parts of the loss that a search had, where it had more than one.
+/// The parts of the loss in a search, if there is more than one.
 fn loss_parts(steps: &[TrainStep]) -> Vec<LossPart> {
     let all: [LossPart; 3] = [
         ("of it trajectory", |step| step.loss_trajectory),
@@ -242,7 +242,8 @@ fn conservation(kept: &[Conservation], stream: &RecordingStream) -> RecordingStr
         let norm = sum.iter().map(|x| x * x).sum::<f64>().sqrt();
         if sum.is_empty() { f64::NAN } else { log10(norm, TrainStep::LOG10_FLOOR) }
     };
-    // Where some steps say what each system does, the curves go through those alone, without gaps.
+    // If only some steps have the momentum of each system, the curves connect those steps without
+    // gaps.
     let some_split = kept.iter().any(|now| !now.momentum_pressure.is_empty());
     let first = kept.first().map(|now| now.momentum.clone()).unwrap_or_default();
     let names = ["drift", "by pressure", "by viscosity", "by forcing"];

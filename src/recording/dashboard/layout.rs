@@ -1,4 +1,4 @@
-//! Which panels the dashboard has and where: only panels for which the recording has something.
+//! The panels of the dashboard and their arrangement: only panels for which the recording has data.
 
 use rerun::blueprint::components::{Corner2D, LoopMode, PanelState, PlayState};
 use rerun::blueprint::{
@@ -10,7 +10,7 @@ use super::panels::{self, Panel};
 use crate::Result;
 use crate::recording::{Flow, Recording, RunInfo, TrainStep};
 
-/// Colours of curves, in the order of use; bright enough for a dark background.
+/// Colours of curves, in the order of use; visible on a dark background.
 pub(super) const PALETTE: [[u8; 3]; 8] = [
     [255, 176, 59],
     [86, 180, 233],
@@ -22,20 +22,20 @@ pub(super) const PALETTE: [[u8; 3]; 8] = [
     [190, 190, 200],
 ];
 
-/// No more parameters than this are plotted.
+/// Number of parameters plotted, maximum.
 const MOST_CURVES: usize = 12;
 
-/// No more flows than this stand in one row.
+/// Number of flows in one row, maximum.
 const MOST_FLOWS: usize = 4;
 
-/// How many seconds it takes to play the flow once.
+/// Duration of one playback of the flow, in seconds.
 const PLAY_SECONDS: f64 = 10.0;
 
-/// What a recording has to show.
+/// The content of a recording that can be shown.
 pub(super) struct Content {
     dimension: usize,
     edge: f32,
-    /// Topics with particles, the truth first, then what was learned.
+    /// Topics with particles: the truth first, then learned flows.
     pub(super) clouds: Vec<String>,
     /// Topics with named numbers.
     pub(super) values: Vec<String>,
@@ -145,7 +145,7 @@ fn flows(content: &Content) -> Vec<Panel> {
 fn numbers(content: &Content) -> Vec<Panel> {
     let panel = |(k, topic): (usize, &String)| {
         let name = format!("log10 of {}, by time", topic.trim_start_matches('/'));
-        // The colours are the same in all of them.
+        // The colours are the same in all panels.
         let legend = (k == 0).then_some(Corner2D::RightBottom);
         Panel::plot(&name, &[topic.as_str()], legend)
     };
@@ -165,7 +165,7 @@ fn learning(content: &Content) -> Vec<Panel> {
         let parameters = Panel::plot("parameters, by iteration", &["/train/parameters"], legend);
         return vec![parameters, loss, gradient];
     }
-    // The colours are explained once, in the panel beside, where there is room.
+    // The colours are explained once, in the panel beside, if there is room.
     let name = "parameters and (thin) their truth, by iteration";
     let parameters = Panel::plot(name, &["/train/parameters", "/train/truth"], None);
     let name = "log10 relative error of parameters, by iteration";

@@ -1,5 +1,5 @@
-//! The panels of the dashboard, and those of their settings for which Rerun's Rust interface has no
-//! method: camera, background, legend, columns of the log.
+//! The panels of the dashboard, with settings for which Rerun's Rust interface has no method:
+//! camera, background, legend, columns of the log.
 
 use rerun::blueprint::components::{BackgroundKind, Corner2D, Eye3DKind};
 use rerun::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
@@ -13,16 +13,16 @@ use rerun::external::re_sdk_types::blueprint::archetypes::{
 use rerun::log::LogMsg;
 use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder, RecordingStreamResult};
 
-/// Behind the particles.
+/// Background colour of particle views.
 const BACKGROUND: [u8; 3] = [10, 10, 16];
 
-/// A view with the settings that are logged beside it.
+/// A view with the settings that are logged with it.
 pub(super) struct Panel {
     pub(super) view: ContainerLike,
     settings: Vec<Setting>,
 }
 
-/// One setting: its place in the blueprint, and its value.
+/// One setting: its path in the blueprint, and its value.
 pub(super) type Setting = (String, Box<dyn AsComponents>);
 
 impl Panel {
@@ -37,7 +37,7 @@ impl Panel {
         self
     }
 
-    /// Curves, with the legend in a corner or without one.
+    /// Curves, with the legend in a corner or without a legend.
     pub(super) fn plot(name: &str, entities: &[&str], legend: Option<Corner2D>) -> Self {
         let view = TimeSeriesView::new(name).with_contents(entities.iter().copied());
         let shown = PlotLegend::new().with_visible(legend.is_some());
@@ -45,13 +45,13 @@ impl Panel {
         Self::new(view).with("PlotLegend", legend)
     }
 
-    /// A plane of particles.
+    /// A two-dimensional view of particles.
     pub(super) fn plane(name: &str, origin: &str, contents: [&str; 2]) -> Self {
         let view = Spatial2DView::new(name).with_origin(origin).with_contents(contents);
         Self::new(view).with("Background", background())
     }
 
-    /// A box of particles of that edge, seen from a corner.
+    /// A view of particles in a box of edge `length`, from a corner.
     pub(super) fn volume(name: &str, origin: &str, contents: [&str; 2], edge: f32) -> Self {
         let view = Spatial3DView::new(name).with_origin(origin).with_contents(contents);
         let eye = EyeControls3D::new()
@@ -83,7 +83,7 @@ fn background() -> Background {
     Background::new(BackgroundKind::SolidColor).with_color(rerun::Color::from_rgb(r, g, b))
 }
 
-/// Sends a blueprint together with settings, which go into the same store.
+/// Sends a blueprint and its settings, which go into the same store.
 pub(super) fn send(
     blueprint: &Blueprint,
     settings: &[Setting],
