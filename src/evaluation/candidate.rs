@@ -1,4 +1,4 @@
-//! Who is evaluated: a learned model, as its recording left it.
+//! A learned model to be evaluated, read from its recording.
 
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
@@ -12,25 +12,26 @@ use std::path::Path;
 /// A learned model.
 #[derive(Clone, Debug)]
 pub struct Candidate {
-    /// How it is called: its `kind`, or its recording's where two candidates are of one kind.
+    /// Its name: the `kind`, or the recording's name where two candidates have the same kind.
     pub name: String,
-    /// The scene that it was learned in: its model and everything that it was not to learn.
+    /// The scene of the training: its model, and everything that was not learned.
     pub scene: Scene,
-    /// What was learned: parameters, then weights.
+    /// The learned parameters, then the weights.
     pub parameters: Vec<Parameter>,
     /// Their values at the end of the search.
     pub values: Vec<f64>,
     /// The last iteration: loss, parts of it, gradient.
     pub last: TrainStep,
-    /// How long the search took, where somebody noted it; no recording does.
+    /// Duration of the search in seconds, if it is known; recordings do not contain it.
     pub seconds: Option<f64>,
 }
 
 impl Candidate {
-    /// From what `train` recorded.
+    /// Reads a recording of `train`.
     ///
     /// # Errors
-    /// [`Error::Input`] where the recording has no iteration, or is not of its own scene's model.
+    /// [`Error::Input`] where the recording has no iteration, or does not fit the model of its own
+    /// scene.
     pub fn open<const D: usize>(path: &Path) -> Result<Self> {
         let recording = Recording::open(path)?;
         let place = path.display().to_string();
@@ -53,8 +54,8 @@ impl Candidate {
         Ok(Self { name, scene, parameters, values, last, seconds: None })
     }
 
-    /// Gives candidates of one kind the names of their files, with folder or number where those are
-    /// alike, too, or are the name of a flow that has a meaning in recordings.
+    /// Names candidates of the same kind by their files. Adds folder or number where files have the
+    /// same name, or where the name is reserved in recordings.
     pub fn name_apart(candidates: &mut [Self], paths: &[impl AsRef<Path>]) {
         let kinds: Vec<String> = candidates.iter().map(|c| c.name.clone()).collect();
         let mut taken = vec!["truth".to_owned(), "learned".to_owned()];
@@ -73,18 +74,18 @@ impl Candidate {
         }
     }
 
-    /// What it was trained by.
+    /// The settings of its training.
     ///
     /// # Errors
-    /// [`Error::Input`] for a scene that learns nothing.
+    /// [`Error::Input`] for a scene without a training.
     pub fn learn(&self) -> Result<&Learn> {
         self.scene.learning()
     }
 
-    /// Refuses to be compared with a truth whose particles, kernel or steps are of another kind.
+    /// Refuses a truth that differs in box, kernel or steps.
     ///
     /// # Errors
-    /// [`Error::Input`], with what differs.
+    /// [`Error::Input`], which names the difference.
     pub fn must_fit(&self, truth: &Scene) -> Result<()> {
         let kind = |scene: &Scene| {
             let (fluid, step) = (&scene.fluid, scene.time.step);
@@ -104,8 +105,8 @@ impl Candidate {
         Err(Error::input(format!("learned model {}", self.name), expected, found, remedy))
     }
 
-    /// The flow that it makes from a state, stirred as `truth` is: how strong the stirring is, is a
-    /// circumstance and no part of what was learned, except where it was.
+    /// The model's flow from a state, with the forcing of `truth`. The forcing's strength is not
+    /// part of what was learned, unless it was learned under the same forcing.
     ///
     /// # Errors
     /// As [`Flow::build`].
@@ -129,7 +130,7 @@ impl Candidate {
         Ok(flow)
     }
 
-    /// The flow of its law alone, without any stirring.
+    /// The flow of its law without forcing.
     ///
     /// # Errors
     /// As [`Flow::build`].

@@ -1,4 +1,4 @@
-//! What a flow does from a true state on, and how far it is from the truth at every step.
+//! A flow followed from a true state, with its distance from the truth at every step.
 
 use super::Candidate;
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::systems::loss::Observations;
 use crate::truth::Truth;
 use crate::vector::Vector;
 
-/// The three losses of single steps: entry `k` is step `k + 1`; not a number behind a divergence.
+/// The three losses of single steps: entry `k` is step `k + 1`; NaN after a divergence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Errors {
     /// `(1/N) Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`.
@@ -20,34 +20,36 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Mean of the field error over the first `steps`: the loss `L_f` of a training that long.
+    /// Mean of the field error over the first `steps`: the loss `L_f` of a training over that many
+    /// steps.
     pub fn mean_field(&self, steps: usize) -> f64 {
         let first = &self.field[..steps.min(self.field.len())];
         first.iter().sum::<f64>() / first.len() as f64
     }
 }
 
-/// States of a flow at some of its steps, and its errors at each. A step is one that the scene observes.
+/// States of a flow at some of its steps, and its errors at every step. A step is one that the
+/// scene observes.
 #[derive(Clone, Debug, Default)]
 pub struct Course<const D: usize> {
     /// Errors against the truth; empty for the truth itself.
     pub errors: Errors,
-    /// States at the marks, as far as the flow went.
+    /// States at the marks, until the flow diverged.
     pub states: Vec<State<D>>,
-    /// Densities there.
+    /// Densities at the marks.
     pub densities: Vec<Vec<f64>>,
-    /// Accelerations at the last mark; empty where they cannot be found.
+    /// Accelerations at the last mark; empty where they cannot be evaluated.
     pub accelerations: Vec<Vector<f64, D>>,
-    /// The step at which the flow could no longer be trusted.
+    /// The step at which the flow diverged.
     pub diverged: Option<u64>,
 }
 
-/// How long a flow is followed, and at which steps it is looked at closely.
+/// The number of steps of a flow, and the steps at which its state is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Marks {
-    /// Steps in all.
+    /// Number of steps.
     pub steps: u64,
-    /// Every how many of them there is a mark; the first is step zero.
+    /// Steps between two marks; the first mark is step zero.
     pub every: u64,
 }
 
@@ -58,8 +60,8 @@ impl Marks {
     }
 }
 
-/// What trajectory and field loss compare with at every step of a truth, and the statistical one too
-/// where it is asked for.
+/// The observations for trajectory and field loss at every step of a truth, and for the statistical
+/// loss if requested.
 ///
 /// # Errors
 /// As [`Truth::observations`].
@@ -75,12 +77,12 @@ pub fn observations<const D: usize>(
         increments: Increments { times: Times::All, ..learn.increments },
         ..learn.clone()
     };
-    // The weight of an integral over time is none of single steps.
+    // Errors of single steps do not have the weight of an integral over time.
     Ok(Observations { kl, ..truth.observations(scene, &learn)? })
 }
 
 impl<const D: usize> Course<D> {
-    /// Of a truth.
+    /// The course of a truth.
     ///
     /// # Errors
     /// As [`Flow::from_state`].
@@ -95,7 +97,8 @@ impl<const D: usize> Course<D> {
         Ok(Self { states, densities, accelerations, ..Self::default() })
     }
 
-    /// Of a learned model, from the first state of a truth. A divergence ends it and is no error.
+    /// The course of a learned model, from the first state of a truth. A divergence ends it and is
+    /// not an error.
     ///
     /// # Errors
     /// As [`Candidate::flow`].
@@ -131,7 +134,7 @@ impl<const D: usize> Course<D> {
 }
 
 impl Errors {
-    /// Keeps what a flow's losses grew by in its last step.
+    /// Records the increase of a flow's losses in its last step.
     fn keep<const D: usize>(
         &mut self,
         flow: &Flow<D>,
@@ -150,8 +153,8 @@ impl Errors {
     }
 }
 
-/// Accelerations at the very state a flow starts from; none where it cannot start there, as recorded particles in
-/// another fluid may not.
+/// Accelerations at the initial state of a flow; empty where the flow cannot start, as may happen
+/// with recorded particles in another fluid.
 fn accelerations<const D: usize>(mut flow: Flow<D>) -> Vec<Vector<f64, D>> {
     if flow.start().is_ok() { flow.accelerations() } else { Vec::new() }
 }

@@ -5,10 +5,10 @@ use super::{Circumstance, Errors, Evaluation, Signature, Spread};
 use crate::error::Result;
 use crate::report::{Axis, Curve, Figure, Role, Scale, Span};
 
-/// One quantity of a statistic, by the points of its axis.
+/// One quantity of a statistic, as a function of the points of its axis.
 type Of = fn(&Signature) -> Vec<f64>;
 
-/// What a figure is about: name, title, caption, labels and scales of both axes.
+/// The description of a figure: name, title, caption, labels and scales of both axes.
 struct About(&'static str, &'static str, &'static str, [(&'static str, Scale); 2]);
 
 impl About {
@@ -300,7 +300,7 @@ impl<const D: usize> Evaluation<D> {
     }
 }
 
-/// A density as far as a sample of this size can show it.
+/// A density without the values that a sample of this size cannot resolve.
 fn seen(density: Vec<f64>) -> Vec<f64> {
     let top = density.iter().copied().fold(0.0, f64::max);
     density.into_iter().map(|p| if p > 1e-6 * top { p } else { f64::NAN }).collect()

@@ -1,13 +1,13 @@
-//! Does a learned model know the flow? Its errors by horizon, by strength of the stirring and by Mach
-//! number, its statistics and its symmetries, each beside what a perfect model would score.
+//! Evaluates learned models: errors by horizon, forcing strength and Mach number, statistics, and
+//! symmetries, each compared with the score of a perfect model.
 //!
-//! A model is let go from true states and followed to a full eddy time, twenty times as long as it was
-//! trained. Everything is repeated for several *realisations* (seeds of the flow; the first is that of the
-//! training, whose first steps it has seen), and reported as median and range. What two independent
-//! realisations of the truth differ by is the *floor*: no model that knows the statistics, but not these
-//! very particles, can come closer than that.
+//! A model starts from true states and is followed for a full eddy time, twenty times as long as
+//! its training. Everything is repeated for several *realisations* (seeds of the flow; the first is
+//! that of the training, which contains its first steps), and reported as median and range. The
+//! difference of two independent realisations of the truth is the *floor*: a model that knows the
+//! statistics, but not these particular particles, cannot be closer to the truth.
 //!
-//! [`evaluate`] measures, [`Evaluation::report`] puts it into tables and figures.
+//! [`evaluate`] measures, [`Evaluation::report`] turns the result into tables and figures.
 
 mod candidate;
 mod course;
@@ -33,10 +33,10 @@ use crate::systems::loss::Observations;
 use crate::truth::{Truth, statistical_floor};
 use crate::vector::Vector;
 
-/// What is measured.
+/// The plan of an evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// How long flows are followed, and how often they are looked at closely.
+    /// The number of steps of a flow, and its marks.
     pub marks: Marks,
     /// Seeds of the flow, counted up from the scene's.
     pub realisations: u64,
@@ -44,13 +44,13 @@ pub struct Plan {
     pub strengths: Vec<f64>,
     /// Factors on the velocities of a true state: they scale its Mach number.
     pub speeds: Vec<f64>,
-    /// How long flows of other strengths and Mach numbers are followed, in steps: the training's
-    /// horizon, and a longer one.
+    /// Numbers of steps for flows of other strengths and Mach numbers: the horizon of the training,
+    /// and a longer one.
     pub horizons: [usize; 2],
 }
 
 impl Plan {
-    /// To one eddy time of the paper's flow: 200 steps, three realisations, `θ` from 0.1 to 1.6, a
+    /// For one eddy time of the paper's flow: 200 steps, three realisations, `θ` from 0.1 to 1.6, a
     /// quarter to three times the Mach number. `trained` is the horizon of the training.
     pub fn new(trained: usize) -> Self {
         Self {
@@ -62,7 +62,7 @@ impl Plan {
         }
     }
 
-    /// Enough to see whether something is wrong: sixty steps, two realisations, two strengths.
+    /// A short check: sixty steps, two realisations, two strengths.
     pub fn quick(trained: usize) -> Self {
         Self {
             marks: Marks { steps: 60, every: 5 },
@@ -73,15 +73,15 @@ impl Plan {
         }
     }
 
-    /// The fifteen horizons, from the training's to the last step, over which medians over time are
-    /// taken: as many as the paper's Fig. 5.
+    /// The fifteen horizons, from the training's to the last step, over which medians are taken:
+    /// the same number as in the paper's Fig. 5.
     pub fn fifteen(&self) -> Vec<usize> {
         let (first, last) = (self.horizons[0] as f64, self.marks.steps as f64);
         let at = |k: i32| first + (last - first) * f64::from(k) / 14.0;
         (0..15).map(|k| at(k).round() as usize).collect()
     }
 
-    /// Steps of learned flows in all, for an estimate of the time left.
+    /// Total number of steps of learned flows, for an estimate of the time left.
     pub fn work(&self, candidates: usize) -> u64 {
         let circumstances = (self.strengths.len() + self.speeds.len()) as u64;
         let one = self.marks.steps + circumstances * self.horizons[1] as u64;
@@ -89,58 +89,58 @@ impl Plan {
     }
 }
 
-/// Where the truth comes from.
+/// The source of the truth.
 #[derive(Clone, Debug)]
 pub enum Source<const D: usize> {
-    /// The scene's own law, run on the spot: any seed, any circumstances.
+    /// The scene's own law, run by the evaluation: any seed, any circumstances.
     Scene,
-    /// Particles that somebody recorded: as many realisations as there are pieces of the length that is
-    /// followed, and no other circumstances.
+    /// Recorded particles: one realisation per piece of the required length, and no other
+    /// circumstances.
     Recorded(Vec<Truth<D>>),
 }
 
-/// What one candidate did in one realisation.
+/// The results of one candidate in one realisation.
 #[derive(Clone, Debug)]
 pub struct Trial {
     /// Errors by step.
     pub errors: Errors,
     /// Statistics.
     pub signature: Signature,
-    /// The step at which it could no longer be trusted.
+    /// The step at which it diverged.
     pub diverged: Option<u64>,
-    /// Symmetries of its law in the first state; not a number where that could not be found.
+    /// Symmetries of its law in the first state; NaN where they cannot be evaluated.
     pub symmetry: Symmetry,
 }
 
-/// Errors under other circumstances, realisation by realisation, as far as the longer horizon of a
+/// Errors under other circumstances, realisation by realisation, up to the longer horizon of a
 /// [`Plan`].
 #[derive(Clone, Debug)]
 pub struct Circumstance {
-    /// The strength, or the Mach number: root-mean-square speed over `c` at the start.
+    /// The forcing strength, or the Mach number: root-mean-square speed over `c` at the start.
     pub value: f64,
-    /// `⟨|V|²⟩/D` of the true field, which makes errors relative: by realisation.
+    /// `⟨|V|²⟩/D` of the true field by realisation, for relative errors.
     pub power: Vec<f64>,
-    /// By realisation: the steps' errors of each candidate.
+    /// By realisation and candidate: the errors of each step.
     pub errors: Vec<Vec<Errors>>,
 }
 
 /// A learned pressure by density.
 #[derive(Clone, Debug)]
 pub struct Pressure {
-    /// Whose.
+    /// Name of the candidate.
     pub name: String,
     /// At the densities of [`Evaluation::densities`].
     pub values: Vec<f64>,
 }
 
-/// Everything that [`evaluate`] has measured.
+/// The result of [`evaluate`].
 #[derive(Clone, Debug)]
 pub struct Evaluation<const D: usize> {
     /// The scene of the truth.
     pub scene: Scene,
-    /// What was to be measured.
+    /// The plan.
     pub plan: Plan,
-    /// Who was evaluated.
+    /// The candidates.
     pub candidates: Vec<Candidate>,
     /// By realisation, the truth's statistics.
     pub truths: Vec<Signature>,
@@ -150,7 +150,7 @@ pub struct Evaluation<const D: usize> {
     pub floor: Vec<f64>,
     /// By step: the field error between them.
     pub independent: Vec<f64>,
-    /// Distances between the statistics of any two of them.
+    /// Distances between the statistics of any two truths.
     pub distances: Vec<Distance>,
     /// By strength of the stirring.
     pub strengths: Vec<Circumstance>,
@@ -164,19 +164,19 @@ pub struct Evaluation<const D: usize> {
     pub pressures: Vec<Pressure>,
     /// Tait's, where the truth is known to obey it.
     pub tait: Option<Vec<f64>>,
-    /// Circumstances in which the truth itself did not hold, and why: they are left out.
+    /// Circumstances left out because the truth itself diverged, with the reason.
     pub left_out: Vec<String>,
-    /// The first realisation: the truth, then every candidate, to look at.
+    /// The courses of the first realisation: the truth, then every candidate.
     pub courses: Vec<(String, Course<D>)>,
 }
 
-/// Measures everything; `tick` is called behind every step of a learned flow.
+/// Measures everything; `tick` is called after every step of a learned flow.
 ///
 /// # Errors
-/// [`Error::Input`] where a candidate does not fit the truth, there are fewer than two realisations or
-/// fewer steps than the training had,
-/// [`Error::Diverged`] where fewer than two truths of the scene as it is hold. Other circumstances in which the truth diverges
-/// are left out, and a candidate that diverges is a result.
+/// [`Error::Input`] where a candidate does not fit the truth, or where there are fewer than two
+/// realisations or fewer steps than in the training; [`Error::Diverged`] where fewer than two
+/// truths of the unchanged scene hold. Other circumstances in which the truth diverges are left
+/// out, and a candidate that diverges is a result.
 pub fn evaluate<const D: usize>(
     (scene, source): (&Scene, Source<D>),
     candidates: Vec<Candidate>,
@@ -223,7 +223,7 @@ pub fn evaluate<const D: usize>(
 }
 
 impl<const D: usize> Evaluation<D> {
-    /// What the first candidate was trained by: mesh and nodes are the same for all.
+    /// The training settings of the first candidate: mesh and nodes are the same for all.
     fn learn(&self) -> Result<&Learn> {
         match self.candidates.first() {
             Some(candidate) => candidate.learn(),
@@ -236,7 +236,7 @@ impl<const D: usize> Evaluation<D> {
         }
     }
 
-    /// Steps of the truth before the first state: the scene's own transient.
+    /// Steps of the truth before the first state: the transient of the scene.
     fn after(&self) -> Result<u64> {
         match &self.scene.learn {
             Some(learn) => Ok(learn.after),
@@ -260,7 +260,7 @@ impl<const D: usize> Evaluation<D> {
         Ok(truths)
     }
 
-    /// The scene's own flow, seed by seed. One that diverges is left out, as long as two are there.
+    /// The scene's own flow, seed by seed. Seeds that diverge are left out, if at least two remain.
     fn own_truths(&mut self) -> Result<Vec<Truth<D>>> {
         let (after, steps) = (self.after()?, self.plan.marks.steps as usize);
         let (mut truths, mut failed) = (Vec::new(), None);
@@ -313,7 +313,7 @@ impl<const D: usize> Evaluation<D> {
         Ok(())
     }
 
-    /// What independent truths differ by.
+    /// The differences between independent truths.
     fn floors(&mut self, (truths, observed): (&[Truth<D>], &[Observations<D>])) -> Result<()> {
         let all: Vec<&Truth<D>> = truths.iter().collect();
         let mut learn = self.learn()?.clone();
@@ -336,7 +336,8 @@ impl<const D: usize> Evaluation<D> {
         Ok(())
     }
 
-    /// Learned pressures, over the densities seen in training and as far again on both sides.
+    /// Learned pressures, over the range of densities seen in training and one more range on either
+    /// side.
     fn equation_of_state(&mut self, truth: &Truth<D>, known: bool) -> Result<()> {
         let trained = self.plan.horizons[0].min(truth.states.len() - 1);
         let seen =
@@ -359,7 +360,7 @@ impl<const D: usize> Evaluation<D> {
         Ok(())
     }
 
-    /// The scene's own flow at other strengths of its stirring, after its own transient.
+    /// The scene's own flow at other forcing strengths, after its transient.
     fn other_strengths(&mut self, tick: &mut dyn FnMut()) -> Result<()> {
         let Forcing::Deterministic { power, .. } = self.scene.forcing else { return Ok(()) };
         let after = self.after()?;
@@ -406,7 +407,7 @@ impl<const D: usize> Evaluation<D> {
         Ok(())
     }
 
-    /// The truths of a circumstance, unless one of them diverged: that is remembered.
+    /// The truths of a circumstance; none where one of them diverged, which is recorded.
     fn held(
         &mut self,
         circumstance: &str,
@@ -422,7 +423,7 @@ impl<const D: usize> Evaluation<D> {
         }
     }
 
-    /// Lets every candidate go from truths of other circumstances, realisation by realisation.
+    /// Runs every candidate from truths of other circumstances, realisation by realisation.
     fn meet(
         &self,
         value: f64,

@@ -1,4 +1,4 @@
-//! The statistics that a flow leaves: of single particles, of pairs, of its velocity field.
+//! Statistics of a flow: of single particles, of pairs, and of its velocity field.
 
 use super::{Course, Marks};
 use crate::error::Result;
@@ -12,18 +12,18 @@ use crate::statistics::{
 use crate::truth::velocity_field;
 use crate::vector::Vector;
 
-/// Marks over whose last the field statistics are averaged.
+/// Number of last marks over which field statistics are averaged.
 const AVERAGED: usize = 5;
 
-/// Nodes of a density of increments or accelerations.
+/// Number of nodes of a density of increments or accelerations.
 const NODES: usize = 101;
 
-/// The statistics of one course. The first group has one entry per mark behind the first.
+/// The statistics of one course. The first group has one entry per mark after the first.
 #[derive(Clone, Debug, Default)]
 pub struct Signature {
     /// Variance of `δu(τ)`, mean over components.
     pub variance: Vec<f64>,
-    /// Flatness of `δu(τ)`, mean over components: 3 where normal.
+    /// Flatness of `δu(τ)`, mean over components: 3 for a normal distribution.
     pub flatness: Vec<f64>,
     /// `⟨|r(τ) − r(0)|²⟩`.
     pub displacement: Vec<f64>,
@@ -35,12 +35,12 @@ pub struct Signature {
     pub structure: Vec<Structure>,
     /// Components of `δu` at the last mark.
     pub increments: Vec<f64>,
-    /// Components of the accelerations there.
+    /// Components of the accelerations at the last mark.
     pub accelerations: Vec<f64>,
 }
 
 impl Signature {
-    /// Of a course, as far as it went.
+    /// Of a course, up to its divergence.
     pub fn of<const D: usize>(scene: &Scene, course: &Course<D>) -> Self {
         let (Some(first), Some(last)) = (course.states.first(), course.states.last()) else {
             return Self::default();
@@ -102,8 +102,8 @@ fn increments<const D: usize>(
     to.iter().zip(from).map(move |(v, start)| v[axis] - start[axis])
 }
 
-/// How far statistics are from those of the truth: root-mean-square logarithms of ratios, so that `0.1`
-/// is ten per cent. Not a number for a flow that diverged.
+/// Distances of statistics from those of the truth: root-mean-square logarithms of ratios, so that
+/// `0.1` means ten per cent. NaN for a flow that diverged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distance {
     /// Of the displacement by time.
@@ -136,7 +136,7 @@ impl Distance {
     }
 }
 
-/// `√⟨(ln a/b)²⟩`; not a number where one ends before the other.
+/// `√⟨(ln a/b)²⟩`; NaN for different lengths.
 fn logarithmic(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() || a.is_empty() {
         return f64::NAN;
@@ -145,9 +145,9 @@ fn logarithmic(a: &[f64], b: &[f64]) -> f64 {
     (squares.sum::<f64>() / a.len() as f64).sqrt()
 }
 
-/// A density by Gaussian kernels, on nodes that all compared samples share.
+/// A kernel density estimate, on nodes that all compared samples share.
 pub(super) struct Bells {
-    /// Where it is known.
+    /// Positions of the nodes.
     pub(super) nodes: Vec<f64>,
     density: Density1d,
 }
@@ -159,14 +159,14 @@ impl Bells {
         Ok(Self { nodes: density.nodes().collect(), density })
     }
 
-    /// The density of samples, none where one is not finite.
+    /// The density of samples; empty where one is not finite.
     pub(super) fn of(&self, samples: &[f64]) -> Vec<f64> {
         let found = self.density.log_density_of(samples);
         found.map(|log| log.into_iter().map(f64::exp).collect()).unwrap_or_default()
     }
 }
 
-/// Times of the marks behind the first, in steps.
+/// Times of the marks after the first, in steps.
 pub(super) fn later(marks: Marks) -> Vec<f64> {
     marks.marked().skip(1).map(|step| step as f64).collect()
 }

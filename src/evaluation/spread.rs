@@ -1,10 +1,10 @@
 //! Median and range of the same quantity in several realisations.
 
-/// Median, lowest and highest. A realisation that is not a number, because its flow diverged, counts as
-/// the worst of all.
+/// Median, lowest and highest. A realisation with NaN, because its flow diverged, counts as the
+/// worst.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// The median; of an even number the mean of the middle two.
+    /// The median; for an even number, the mean of the middle two.
     pub median: f64,
     /// The lowest.
     pub low: f64,
@@ -13,7 +13,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of some values; not numbers where there is none.
+    /// Of some values; NaN where there are none.
     pub fn of(values: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_by(|a, b| a.is_nan().cmp(&b.is_nan()).then(a.total_cmp(b)));

@@ -1,4 +1,5 @@
-//! What a learned law respects: rotation, translation, boost, and both momenta.
+//! Symmetries of a learned law: rotation, translation, boost, and conservation of linear and
+//! angular momentum.
 
 use super::Candidate;
 use crate::error::Result;
@@ -11,16 +12,17 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Rotations whose errors are averaged.
+/// Number of rotations over which errors are averaged.
 const TURNS: usize = 4;
 
-/// How far a law is from its symmetries in one state, without stirring.
+/// Violation of each symmetry by a law in one state, without forcing.
 ///
-/// The first three are mean-square differences of accelerations over their mean square,
-/// `Σ|F(SX) − S F(X)|² / Σ|F(X)|²`. Rotations are by arbitrary angles, which no periodic box
-/// survives: they turn a ball of particles that is cut free, and are looked at in its middle, where nobody
-/// feels the cut. The last two are sums over their terms' magnitudes,
-/// `|Σ m a| / Σ m|a|` in the box and `|Σ r × m a| / Σ |r × m a|` of the free ball.
+/// The first three are mean-square differences of accelerations divided by their mean square,
+/// `Σ|F(SX) − S F(X)|² / Σ|F(X)|²`. Rotations are by arbitrary angles, under which a periodic box
+/// is not invariant: they rotate a ball of particles without its surroundings, and are compared in
+/// its middle, where accelerations do not depend on the cut. The last two are sums divided by the
+/// sums of their magnitudes, `|Σ m a| / Σ m|a|` in the box and `|Σ r × m a| / Σ |r × m a|` in the
+/// ball.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Symmetry {
     /// Of a rotation.
@@ -29,14 +31,14 @@ pub struct Symmetry {
     pub translation: f64,
     /// Of a Galilean boost.
     pub boost: f64,
-    /// Linear momentum made.
+    /// Rate of linear momentum.
     pub momentum: f64,
-    /// Angular momentum made.
+    /// Rate of angular momentum.
     pub torque: f64,
 }
 
 impl Symmetry {
-    /// Not found.
+    /// Not evaluated.
     pub const UNKNOWN: Self = Self {
         rotation: f64::NAN,
         translation: f64::NAN,
@@ -48,7 +50,7 @@ impl Symmetry {
     /// Of a candidate in a state.
     ///
     /// # Errors
-    /// As [`Candidate::flow`], and where the law's accelerations cannot be trusted.
+    /// As [`Candidate::flow`], and where the law's accelerations cannot be evaluated.
     pub fn of<const D: usize>(candidate: &Candidate, state: &State<D>) -> Result<Self> {
         let mut flow = candidate.unstirred(state)?;
         flow.start()?;
@@ -88,24 +90,24 @@ fn sum<const D: usize>(all: impl Iterator<Item = Vector<f64, D>>) -> Vector<f64,
     sum
 }
 
-/// The particles of a ball, free of everything around it.
+/// The particles of a ball, without their surroundings.
 struct Ball<'a, const D: usize> {
     candidate: &'a Candidate,
-    /// Relative to the middle.
+    /// Relative to the centre.
     state: State<D>,
-    /// Box in which its images are out of reach.
+    /// Side of a box in which the ball's images are out of reach.
     edge: f64,
-    /// Radius within which nobody feels the cut.
+    /// Radius within which accelerations do not depend on the cut.
     untouched: f64,
 }
 
 impl<'a, const D: usize> Ball<'a, D> {
-    /// From the middle of the box, and as far into its images as it takes.
+    /// Cuts a ball around the middle of the box, including periodic images as needed.
     fn cut(candidate: &'a Candidate, state: &State<D>) -> Self {
         let fluid = &candidate.scene.fluid;
         let (length, h) = (fluid.box_length, fluid.smoothing_length);
         let untouched = 0.25 * length;
-        // Who is felt has a density that others have a part in.
+        // A neighbour is up to 2h away, and its density depends on particles another 2h away.
         let radius = untouched + 4.0 * h;
         let mut ball = State { time: state.time, ..State::default() };
         for image in images::<D>((radius / length).ceil() as i32) {
@@ -120,12 +122,12 @@ impl<'a, const D: usize> Ball<'a, D> {
         Self { candidate, state: ball, edge: 2.0 * radius + 4.0 * h, untouched }
     }
 
-    /// Accelerations of the ball when it is turned; the law, mass included, is that of `whole`.
+    /// Accelerations in the rotated ball; the law, including the mass, is that of `whole`.
     fn accelerations(&self, whole: &Flow<D>, turn: DQuat) -> Result<Vec<Vector<f64, D>>> {
         let mut scene = self.candidate.scene.clone();
         scene.forcing = Forcing::None;
         scene.fluid.box_length = self.edge;
-        // At a free surface the density is no measure of anything.
+        // At the free surface densities are meaningless, and so are the limits.
         (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
         let rotated = |all: &[Vector<f64, D>]| all.iter().map(|&x| rotate(turn, x)).collect();
         let mut state = State {
@@ -140,7 +142,7 @@ impl<'a, const D: usize> Ball<'a, D> {
         Ok(flow.accelerations())
     }
 
-    /// The error of rotations, and the torque.
+    /// The error of rotations, and the relative torque.
     fn turned(&self, whole: &Flow<D>) -> Result<(f64, f64)> {
         let upright = self.accelerations(whole, DQuat::IDENTITY)?;
         let inner = |all: &[Vector<f64, D>]| -> Vec<Vector<f64, D>> {
@@ -162,7 +164,7 @@ impl<'a, const D: usize> Ball<'a, D> {
     }
 }
 
-/// Whole numbers from `-most` to `most` along every axis.
+/// All integer vectors with components from `-most` to `most`.
 fn images<const D: usize>(most: i32) -> impl Iterator<Item = Vector<f64, D>> {
     let side = 2 * most + 1;
     (0..side.pow(D as u32)).map(move |mut index| {
@@ -175,7 +177,7 @@ fn images<const D: usize>(most: i32) -> impl Iterator<Item = Vector<f64, D>> {
     })
 }
 
-/// Arbitrary rotations, in the plane for two dimensions.
+/// Random rotations; in two dimensions within the plane.
 fn turns<const D: usize>() -> impl Iterator<Item = DQuat> {
     let mut generator = ChaCha8Rng::seed_from_u64(8);
     (0..TURNS).map(move |_| match D {

@@ -4,8 +4,9 @@ use super::{Candidate, Circumstance, Distance, Errors, Evaluation, Plan, Spread,
 use crate::report::{Cell, Report, Role, Row, Table};
 use serde::Serialize;
 
-/// What the paper's models reach (medians read off its Fig. 5): field loss over time scales, and over
-/// forcing strengths. Its models were trained by the field loss, in three dimensions.
+/// Published results of the paper's models (medians read off its Fig. 5): field loss over time
+/// scales, and over forcing strengths. The models were trained by the field loss, in three
+/// dimensions.
 const PUBLISHED: [(&str, f64, f64); 6] = [
     ("node", 0.10, 0.021),
     ("nn-sum", 0.125, 0.015),
@@ -25,18 +26,19 @@ const PUBLISHED_LOSS: [(&str, Option<f64>, Option<f64>); 6] = [
     ("physics", Some(9.84e-6), Some(1.66e-11)),
 ];
 
-/// What one candidate comes to, in numbers that a script can use.
+/// The results of one candidate as numbers for scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Median over fifteen horizons, and over realisations, of the mean field error up to there.
+    /// Median, over fifteen horizons and all realisations, of the mean field error up to each
+    /// horizon.
     pub field_over_time: f64,
     /// The same of the KL at fifteen steps.
     pub kl_over_time: f64,
     /// Median over strengths and realisations of the mean field error up to the training's horizon.
     pub field_over_strength: f64,
-    /// How many of all steps have a KL within twice the floor: the median over realisations.
+    /// Share of all steps with a KL within twice the floor: the median over realisations.
     pub within_twice_floor: u64,
-    /// The step up to which it stays there, from the training's horizon on.
+    /// The step up to which the KL stays there, from the training's horizon on.
     pub within_until: u64,
     /// The last step up to which the field error is below half of that between independent truths.
     pub follows: u64,
@@ -93,10 +95,10 @@ impl<const D: usize> Evaluation<D> {
         Spread::of(errors.map(|errors| errors[candidate].mean_field(steps))).median
     }
 
-    /// Everything as tables and figures; `facts` say how to repeat it.
+    /// All tables and figures; `facts` say how to repeat the evaluation.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] where densities of increments cannot be found.
+    /// [`crate::Error::Input`] where densities of increments cannot be computed.
     pub fn report(&self, facts: Vec<(String, String)>) -> crate::Result<Report> {
         let (plan, scene) = (&self.plan, &self.scene);
         let mut about = vec![
@@ -140,7 +142,7 @@ impl<const D: usize> Evaluation<D> {
         self.candidates.iter().map(|c| &c.name).enumerate().map(row).collect()
     }
 
-    /// Whether the truth is the paper's three-dimensional run, so that its numbers may stand beside.
+    /// Whether the truth is the paper's three-dimensional run, so that its published numbers apply.
     fn is_the_papers(&self) -> bool {
         let (scene, fluid) = (&self.scene, &self.scene.fluid);
         let near = |x: f64, y: f64| (x - y).abs() < 1e-12;
@@ -153,8 +155,8 @@ impl<const D: usize> Evaluation<D> {
             && self.plan.horizons[0] == 10
     }
 
-    /// The paper's numbers for a candidate that was trained as its model was: final loss, field loss
-    /// over time, field loss over strength.
+    /// The published numbers for a candidate that was trained in the same way: final loss, field
+    /// loss over time, field loss over strength.
     fn papers(&self, candidate: &Candidate) -> [Cell; 3] {
         let name = candidate.scene.model().kind();
         let statistical = candidate.learn().is_ok_and(|learn| learn.loss.kl > 0.0);

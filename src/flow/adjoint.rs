@@ -1,4 +1,4 @@
-//! A flow run backwards: snapshots on the way forward, pullbacks on the way back.
+//! Backward runs of a flow: snapshots forwards, pullbacks backwards.
 
 use super::{Flow, State, in_pool};
 use crate::error::Result;
@@ -14,8 +14,8 @@ use crate::systems::verlet::Clock;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 
-/// Everything from which a flow goes on with the same bits: the state, the force that is carried,
-/// and the positions that the neighbour lists were built from.
+/// A complete snapshot, from which a flow continues with the same bits: the state, the carried
+/// force, and the positions from which the neighbour lists were built.
 pub struct Snapshot<const D: usize> {
     clock: Clock,
     state: State<D>,
@@ -36,7 +36,7 @@ impl<const D: usize> Snapshot<D> {
 }
 
 impl<const D: usize> Flow<D> {
-    /// The state of a started flow, to come back to.
+    /// A snapshot of a started flow.
     pub fn snapshot(&mut self) -> Snapshot<D> {
         let columns: Vec<Column> = self.terms.iter().flat_map(|term| term.columns()).collect();
         let columns = columns.iter().map(|column| column.keep(&mut self.world)).collect();
@@ -49,7 +49,7 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// Comes back to a snapshot. A flow that was not built with an adjoint stays as it is.
+    /// Restores a snapshot. Does nothing for a flow that was not built with an adjoint.
     pub fn restore(&mut self, snapshot: &Snapshot<D>) {
         let Some(backward) = &mut self.backward else { return };
         let world = &mut self.world;
@@ -74,19 +74,19 @@ impl<const D: usize> Flow<D> {
         in_pool(|| backward.prepare.run(world));
     }
 
-    /// Whether force evaluations are kept on the tape from now on.
+    /// Switches recording of force evaluations on the tape on or off.
     pub fn keep_evaluations(&mut self, running: bool) {
         if let Some(mut tape) = self.world.get_resource_mut::<Tape<D>>() {
             tape.running = running;
         }
     }
 
-    /// Bytes that the tape now holds.
+    /// Current size of the tape in bytes.
     pub fn tape_bytes(&self) -> usize {
         self.world.get_resource::<Tape<D>>().map_or(0, Tape::bytes)
     }
 
-    /// Forgets the tape and every adjoint: before a way forward.
+    /// Clears the tape and all adjoint variables, before a forward sweep.
     pub fn clear_adjoint(&mut self) {
         let world = &mut self.world;
         let mut rows = world.query::<(
@@ -122,13 +122,13 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// `∂L/∂` of every parameter, gathered on the way back, in the order of [`Flow::parameters`].
+    /// `∂L/∂` of every parameter, as accumulated backwards, in the order of [`Flow::parameters`].
     pub fn adjoint_gradient(&self) -> Vec<f64> {
         let adjoint = self.world.get_resource::<AdjointCloud<D>>();
         adjoint.map(|adjoint| adjoint.parameters.clone()).unwrap_or_default()
     }
 
-    /// `(∂L/∂r, ∂L/∂v)` where the way back now stands, particle `k` in row `k`.
+    /// `(∂L/∂r, ∂L/∂v)` at the current step of the backward sweep, particle `k` in row `k`.
     pub fn state_adjoint(&mut self) -> (Vec<Vector<f64, D>>, Vec<Vector<f64, D>>) {
         let mut rows = self.world.query::<(&Identity, &PositionAdjoint<D>, &VelocityAdjoint<D>)>();
         let count = self.world.resource::<Particles>().0;
@@ -142,12 +142,12 @@ impl<const D: usize> Flow<D> {
         both
     }
 
-    /// Puts a loss in place of the one accumulated: replayed steps must not count twice.
+    /// Replaces the accumulated loss, because repeated steps must not count twice.
     pub(crate) fn set_loss(&mut self, loss: LossSum) {
         self.world.insert_resource(loss);
     }
 
-    /// Goes `steps` forward.
+    /// Runs `steps` steps forward.
     pub(crate) fn advance_by(&mut self, steps: u64) -> Result<()> {
         (0..steps).try_for_each(|_| self.step())
     }

@@ -1,4 +1,4 @@
-//! From a scene to a World: terms, resources, particles, sensitivity blocks.
+//! Builds a World from a scene: terms, resources, particles, sensitivity blocks.
 
 use super::{Differentiation, State};
 use crate::error::{Error, Result};
@@ -30,7 +30,7 @@ pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
     Vector([Lanes::ZERO; D])
 }
 
-/// The pair laws of a scene: its model, and those added to it.
+/// The pair laws of a scene: its model, and the added laws.
 pub(super) fn laws_of<const D: usize>(scene: &Scene, model: Box<dyn Model<D>>) -> Laws<D> {
     let laminar = scene.fluid.viscosity.map(|viscosity| viscosity.law(model.medium().clone()));
     let added = laminar.into_iter().chain(scene.added_models(model.medium()));
@@ -93,7 +93,7 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Failure::default());
 }
 
-/// Tells pair laws where their parameters stand in the flat vector.
+/// Sets the places of the pair laws' parameters in the flat vector.
 pub(super) fn place_laws<const D: usize>(
     laws: &mut Laws<D>,
     terms: &[Box<dyn Term<D>>],
@@ -106,8 +106,9 @@ pub(super) fn place_laws<const D: usize>(
     }
 }
 
-/// Particles, each at its place in the box, with the columns of an adjoint where one is run: all at once, since whoever moves to another
-/// table leaves its memory behind.
+/// Spawns the particles, wrapped into the box, with the columns of an adjoint if one is run. All
+/// components are spawned at once, because an entity that moves to another table leaves unused
+/// memory in the old one.
 pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D>, adjoint: bool) {
     world.insert_resource(Particles(state.positions.len()));
     let rows = state.positions.iter().zip(&state.velocities).enumerate();
@@ -142,7 +143,7 @@ pub(super) fn spawn_sensitivities<const D: usize>(
         pulls: Vec::new(),
         slopes: Vec::new(),
     };
-    // All at once: a table that grows keeps as much again in reserve.
+    // All at once: a table that grows reserves twice its size.
     world.spawn_batch((0..blocks * count).map(|row| {
         let zero = no_change::<D>();
         let of = BlockOf { particle: (row % count) as u32, block: (row / count) as u32 };
@@ -177,7 +178,7 @@ pub(super) fn spawn_sensitivities<const D: usize>(
 pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {
     let adjoint = AdjointCloud::<D> { parameters: vec![0.0; parameters], ..Default::default() };
     world.insert_resource(adjoint);
-    // Snapshots keep the positions that lists were built from.
+    // Snapshots keep the positions from which lists were built.
     if let Some(neighbours) = world.remove_resource::<Neighbours<D>>() {
         world.insert_resource(neighbours.with_reference());
     }

@@ -1,4 +1,5 @@
-//! Whether the World still is what the flow was built with: its particles, and systems that derivatives know of.
+//! Checks that the World is still the one the flow was built with: the same particles, and no
+//! systems without derivatives.
 
 use super::Flow;
 use crate::error::{Error, Result};
@@ -6,7 +7,7 @@ use crate::systems::particles::Particles;
 use bevy_ecs::prelude::Schedule;
 use bevy_ecs::system::SystemAccess;
 
-/// The systems of a schedule that has been initialised: name, and whether it may change anything.
+/// The systems of an initialised schedule: the name, and whether the system may change anything.
 fn systems_of(schedule: &Schedule) -> Vec<(String, bool)> {
     let Ok(all) = schedule.systems_with_access() else { return Vec::new() };
     let changes = |access: &SystemAccess| match access {
@@ -22,7 +23,7 @@ fn systems_of(schedule: &Schedule) -> Vec<(String, bool)> {
 }
 
 impl<const D: usize> Flow<D> {
-    /// Remembers which systems come from terms.
+    /// Stores the names of the systems that come from terms.
     pub(super) fn know_own_systems(&mut self) -> Result<()> {
         self.advance.initialize(&mut self.world).map_err(|error| {
             let expected = "an order between any two systems that touch the same data";
@@ -33,7 +34,8 @@ impl<const D: usize> Flow<D> {
         Ok(())
     }
 
-    /// Refuses systems that a caller has added and that change something, where a derivative is asked for.
+    /// Refuses systems that the user has added and that change something, if the flow is
+    /// differentiated.
     pub(super) fn must_be_differentiated(&self) -> Result<()> {
         if self.columns.is_empty() && self.backward.is_none() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! What a World holds for its particles: columns of components, and arrays beside them.
+//! Memory of a World, per particle: columns of components, and arrays.
 
 use super::Flow;
 use crate::models::Slopes;
@@ -20,7 +20,7 @@ use serde::Serialize;
 /// One column: a component, or an array.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Held {
-    /// What it belongs to.
+    /// The part to which it belongs.
     pub part: &'static str,
     /// Its name.
     pub name: String,
@@ -34,7 +34,7 @@ impl Held {
         Self { part, name: name.into(), bytes }
     }
 
-    /// The sum of every part, in the order in which parts are met first.
+    /// The sum of every part, in the order in which the parts first occur.
     pub fn parts(columns: &[Self]) -> Vec<(&'static str, f64)> {
         let mut parts: Vec<(&'static str, f64)> = Vec::new();
         for Self { part, bytes, .. } in columns {
@@ -47,16 +47,17 @@ impl Held {
     }
 }
 
-/// What the ECS keeps for each entity: its number in a table and in an archetype, and where those are,
-/// with its generation and the tick of its spawn.
+/// Size of the ECS's own record of an entity, in bytes: its place in a table and in an archetype,
+/// its generation, and the tick of its spawn.
 const ENTITY: usize = size_of::<Entity>()
     + size_of::<ArchetypeEntity>()
     + (size_of::<Option<EntityLocation>>() + 4 + 4);
 
-/// What it keeps for each component of each entity: the ticks at which it was added and changed.
+/// Size of the ECS's own record of a component of an entity, in bytes: the ticks at which it was
+/// added and changed.
 const TICKS: usize = 8;
 
-/// Arrays of a part: name, and bytes in all.
+/// Arrays of a part: name, and total bytes.
 type Arrays = Vec<(&'static str, usize)>;
 
 fn room<T>(column: &Vec<T>) -> usize {
@@ -64,7 +65,7 @@ fn room<T>(column: &Vec<T>) -> usize {
 }
 
 impl<const D: usize> Flow<D> {
-    /// Every column that the World holds for its particles, as it now stands.
+    /// Every column that the World currently holds for its particles.
     pub fn held(&self) -> Vec<Held> {
         let mut held = self.components();
         let count = self.particles().max(1) as f64;
@@ -84,13 +85,13 @@ impl<const D: usize> Flow<D> {
         held
     }
 
-    /// Bytes per particle of everything that the World holds for it, by part.
+    /// Bytes per particle of everything that the World holds, by part.
     pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
         Held::parts(&self.held())
     }
 
-    /// What one step adds to the tape of an adjoint, at most: the lists are shared by evaluations until
-    /// they are built anew. Nothing where there is no tape.
+    /// Memory that one step adds to the tape of an adjoint, at most: evaluations share their lists
+    /// until the lists are rebuilt. Empty without a tape.
     pub fn tape_of_a_step(&self) -> Vec<Held> {
         if !self.world.contains_resource::<Tape<D>>() {
             return Vec::new();
@@ -119,7 +120,7 @@ impl<const D: usize> Flow<D> {
         all
     }
 
-    /// The schedules that a flow has, and the systems of each, in order.
+    /// The schedules of the flow, and the systems of each, in order.
     pub fn programs(&mut self) -> Vec<(Program, Vec<String>)> {
         if self.check_order().is_err() {
             return Vec::new();
@@ -150,8 +151,7 @@ impl<const D: usize> Flow<D> {
         all.map(|kind| kind.len() as usize).sum()
     }
 
-    /// Components of every kind of entity that is no resource, with the ticks and the entries that the ECS
-    /// keeps beside them.
+    /// Components of all entities that are not resources, with the ECS's own records.
     fn components(&self) -> Vec<Held> {
         let count = self.particles().max(1) as f64;
         let resource = self.world.component_id::<IsResource>();
@@ -223,7 +223,7 @@ impl<const D: usize> Flow<D> {
         ]
     }
 
-    /// Those of some chunks at once, for all blocks together.
+    /// Pairs of one window of chunks, shared by all blocks.
     fn pair_arrays(&self) -> Arrays {
         let Some(cloud) = self.world.get_resource::<SensitivityCloud<D>>() else {
             return Vec::new();
@@ -270,7 +270,7 @@ impl<const D: usize> Flow<D> {
     }
 }
 
-/// `module::system` of each system of a schedule that has been initialised.
+/// `module::system` of each system of an initialised schedule.
 fn systems_of(schedule: &Schedule) -> Vec<String> {
     let all = schedule.systems();
     let named = all.map(|all| all.map(|(_, system)| system.name().to_string()).collect());
@@ -284,7 +284,7 @@ fn systems_of(schedule: &Schedule) -> Vec<String> {
     named.iter().map(last_two).collect()
 }
 
-/// The name of a type without its modules and what it is generic over.
+/// The name of a type without modules and generic arguments.
 fn short(name: &str) -> String {
     let path = name.split('<').next().unwrap_or_default();
     path.rsplit("::").next().unwrap_or_default().to_owned()

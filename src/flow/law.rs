@@ -1,4 +1,4 @@
-//! The parameters of a flow, and the model that moves its particles.
+//! The parameters of a flow, and the model that accelerates its particles.
 
 use super::{Flow, Stream, stream};
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::systems::acceleration::Laws;
 use crate::systems::term::Term;
 
 impl<const D: usize> Flow<D> {
-    /// The model that moves the particles.
+    /// The model that accelerates the particles.
     pub fn model(&self) -> &dyn Model<D> {
         self.world.resource::<Laws<D>>().model()
     }
@@ -18,13 +18,13 @@ impl<const D: usize> Flow<D> {
         self.terms.iter().map(|term| &**term)
     }
 
-    /// All parameters with the values in force, as one flat vector with names.
+    /// All parameters with their current values, as one flat vector with names.
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
     }
 
-    /// Puts the values of some parameters in force, from the next force evaluation on, and leaves the others as they
-    /// are.
+    /// Sets the values of some parameters, from the next force evaluation on; the others keep
+    /// theirs.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a parameter that no term has.
@@ -34,7 +34,7 @@ impl<const D: usize> Flow<D> {
         Ok(())
     }
 
-    /// Where parameters stand in the flat vector.
+    /// Places of parameters in the flat vector.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for a parameter that no term has.
@@ -44,7 +44,7 @@ impl<const D: usize> Flow<D> {
         parameters.iter().map(found).collect()
     }
 
-    /// Puts values at places of the flat vector in force.
+    /// Sets the values at places of the flat vector.
     pub(crate) fn set_at(&mut self, places: &[usize], values: &[f64]) {
         for (&place, &value) in places.iter().zip(values) {
             self.parameters.set_at(place, value);
@@ -56,18 +56,19 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// The weights of the model's network, none where it has no network.
+    /// The weights of the model's network; empty where it has no network.
     pub fn weights(&self) -> Vec<f64> {
         self.model().network().map(|network| network.weights.clone()).unwrap_or_default()
     }
 
-    /// Puts other weights in force, from the next force evaluation on; as many as [`Flow::weights`] gives.
+    /// Sets the weights, from the next force evaluation on; the length must be that of
+    /// [`Flow::weights`].
     pub fn set_weights(&mut self, weights: &[f64]) {
         let places = self.world.resource::<Laws<D>>().model.weights().to_vec();
         self.set_at(&places, weights);
     }
 
-    /// The weights that a seed draws for the model's network.
+    /// The random weights of the model's network for a seed.
     pub fn draw_weights(&self, seed: u64) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Weights);
         let network = self.model().network();

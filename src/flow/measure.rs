@@ -1,4 +1,4 @@
-//! What a flow can be asked: where it stands, what its particles do, what it holds.
+//! Queries of a flow: its time, its particles, its conserved quantities.
 
 use super::{Flow, State};
 use crate::scalar::{Lanes, Scalar};
@@ -12,7 +12,7 @@ use crate::systems::watch::loneliness;
 use crate::vector::Vector;
 use std::borrow::Cow;
 
-/// What is known of each particle, particle `k` in row `k`.
+/// Columns of all particles, particle `k` in row `k`.
 #[derive(Default)]
 pub(crate) struct Rows<'a, const D: usize> {
     pub(crate) positions: Cow<'a, [Position<D>]>,
@@ -52,8 +52,8 @@ impl<const D: usize> Flow<D> {
         self.rows().densities.iter().map(|rho| rho.0).collect()
     }
 
-    /// What is known of each particle, particle `k` in row `k`: as it lies in the World where it lies
-    /// in that order, and put into it where systems or components of a caller's own have changed that.
+    /// Columns of all particles, particle `k` in row `k`. They are borrowed where the World stores
+    /// them in that order, and sorted where systems or components of a user have changed it.
     pub(crate) fn rows(&self) -> Rows<'_, D> {
         type Row<'a, const D: usize> =
             (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Density);
@@ -98,7 +98,7 @@ impl<const D: usize> Flow<D> {
         self.model().smoothing().h
     }
 
-    /// The pressure `P = A ρ²` that the model gives to a density; zero where it knows none.
+    /// The model's pressure `P = A ρ²` at a density; zero for a model without one.
     pub fn pressure(&self, rho: f64) -> f64 {
         let model = self.model();
         let mut room = model.room();
@@ -117,7 +117,7 @@ impl<const D: usize> Flow<D> {
         pairs as f64 / cloud.len().max(1) as f64
     }
 
-    /// What to say where particles have too few neighbours for any pressure.
+    /// The warning that particles have too few neighbours for any pressure.
     pub fn loneliness(&self) -> Option<String> {
         let neighbours = self.world.resource::<Neighbours<D>>();
         loneliness(neighbours, self.world.resource::<Cloud<D>>())

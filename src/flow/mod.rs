@@ -1,4 +1,4 @@
-//! One World is one flow: a scene becomes particles, resources and a schedule.
+//! A flow is one World: a scene becomes particles, resources and schedules.
 
 mod adjoint;
 mod build;
@@ -40,12 +40,12 @@ use build::{
 };
 use std::any::Any;
 
-/// What a flow is differentiated by.
+/// How a flow is differentiated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Differentiation {
     /// The learned parameters, one column each.
     pub parameters: Vec<Parameter>,
-    /// Which derivatives are kept.
+    /// Which derivatives are included.
     pub coupling: Coupling,
 }
 
@@ -59,14 +59,14 @@ pub struct Flow<const D: usize> {
     columns: Vec<Parameter>,
     terms: Vec<Box<dyn Term<D>>>,
     parameters: Parameters,
-    /// Of each term, where its parameters stand in the flat vector.
+    /// For each term, the places of its parameters in the flat vector.
     term_places: Vec<Vec<usize>>,
     /// Names of the systems of a step that come from terms.
     own_systems: Vec<String>,
     identities: QueryState<&'static Identity>,
 }
 
-/// Everything that a flow is made of.
+/// Everything from which a flow is built.
 struct Request<const D: usize> {
     scene: Scene,
     model: Source<D>,
@@ -76,7 +76,7 @@ struct Request<const D: usize> {
     adjoint: bool,
 }
 
-/// Where the model comes from.
+/// The source of the model.
 enum Source<const D: usize> {
     Scene(ModelChoice),
     Caller(Box<dyn Model<D>>),
@@ -92,8 +92,8 @@ fn assemble_3d(request: Request<3>) -> Result<Flow<3>> {
     Flow::with_law(request)
 }
 
-/// Runs a schedule, or many, on a thread of the pool: parallel loops then begin at once, where each would
-/// otherwise wake a thread of the pool and wait for it.
+/// Runs a closure on a thread of the pool. Parallel loops then begin at once; from outside of the
+/// pool, each loop would wake a thread of the pool and wait for it.
 pub(crate) fn in_pool<T: Send>(run: impl FnOnce() -> T + Send) -> T {
     rayon::scope(|_| run())
 }
@@ -113,7 +113,7 @@ impl<const D: usize> Flow<D> {
         Self::from_state(scene, &flow.state())
     }
 
-    /// The flow of a scene from a given state, by the scene's own law: the truth.
+    /// The flow of a scene from a given state, with the scene's own law: the truth.
     pub fn from_state(scene: &Scene, state: &State<D>) -> Result<Self> {
         Self::must_fit(scene)?;
         Self::assemble(Request {
@@ -126,8 +126,8 @@ impl<const D: usize> Flow<D> {
         })
     }
 
-    /// The flow of the model that a scene learns, which carries sensitivities, is compared with
-    /// observations, or both. The weights of a network are those drawn by the scene's seed.
+    /// The flow of the model that a scene learns, with forward sensitivities, observations, or
+    /// both. The weights of a network are drawn from the scene's seed.
     pub fn build(
         scene: &Scene,
         state: &State<D>,
@@ -145,7 +145,7 @@ impl<const D: usize> Flow<D> {
         })
     }
 
-    /// The flow of a scene by a model of the caller's own; see [`crate::models`] for how to write one.
+    /// The flow of a scene with a user's model; see [`crate::models`] for how to write one.
     pub fn with_own_model(
         scene: &Scene,
         state: &State<D>,
@@ -162,7 +162,7 @@ impl<const D: usize> Flow<D> {
         })
     }
 
-    /// The flow of a scene that is compared with observations and can be run backwards.
+    /// The flow of a scene with observations and an adjoint.
     pub fn with_adjoint(
         scene: &Scene,
         state: &State<D>,
@@ -179,8 +179,8 @@ impl<const D: usize> Flow<D> {
         })
     }
 
-    /// Hands a request to the code of its dimension, which is compiled once, in this crate: a caller
-    /// that names `Flow<3>` does not compile every pair loop of every kernel again.
+    /// Passes a request to the code of its dimension, which is compiled once, in this crate: a
+    /// caller of `Flow<3>` need not compile every pair loop of every kernel again.
     fn assemble(request: Request<D>) -> Result<Self> {
         let request: Box<dyn Any> = Box::new(request);
         let flow: Option<Box<dyn Any>> = match request.downcast::<Request<2>>() {
@@ -196,7 +196,7 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// The one place where a scene's choice of a law becomes a model.
+    /// Builds the model of a scene's choice: the only place that does.
     fn with_law(mut request: Request<D>) -> Result<Self> {
         let medium = Medium::of(&request.scene, request.state.positions.len());
         let seed = request.scene.seed;
@@ -281,11 +281,11 @@ impl<const D: usize> Flow<D> {
         Ok(flow)
     }
 
-    /// Finds density and force of the initial state, if that has not been done yet.
+    /// Computes density and force of the initial state, if that has not been done yet.
     ///
     /// # Errors
-    /// [`Error::Input`] where a system was added that could run before or after another one, and
-    /// [`Error::Diverged`] where the initial state cannot be trusted.
+    /// [`Error::Input`] where the order of two systems is ambiguous, and [`Error::Diverged`] where
+    /// the initial state is beyond the limits.
     pub fn start(&mut self) -> Result<()> {
         if !self.started {
             self.check_order().map_err(|found| {
@@ -302,10 +302,10 @@ impl<const D: usize> Flow<D> {
         self.verdict()
     }
 
-    /// One step; the first also starts the flow.
+    /// Runs one step; the first also starts the flow.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where the flow can no longer be trusted; every later step repeats it.
+    /// [`Error::Diverged`] where the flow exceeds its limits, and again at every later step.
     /// [`Error::Interrupted`] where a signal has asked to stop.
     pub fn step(&mut self) -> Result<()> {
         interrupt::check()?;
@@ -324,8 +324,8 @@ impl<const D: usize> Flow<D> {
         }
     }
 
-    /// Puts the flow back to a state at step zero, with sensitivities and loss at zero: the same
-    /// bits as a new flow from that state.
+    /// Resets the flow to a state at step zero, with sensitivities and loss at zero. The result has
+    /// the same bits as a new flow from that state.
     pub fn reset(&mut self, state: &State<D>) {
         let space = self.world.resource::<Integrator>().space;
         let mut rows =
@@ -361,7 +361,7 @@ impl<const D: usize> Flow<D> {
         self.started = false;
     }
 
-    /// `|S|`, the root of the sum of the squares of every `∂(r, v)/∂θ`; zero without sensitivities.
+    /// `|S|`, the root of the sum of squares of all `∂(r, v)/∂θ`; zero without sensitivities.
     pub fn sensitivity_size(&mut self) -> f64 {
         let mut rows = self.world.query::<(&PositionSensitivity<D>, &VelocitySensitivity<D>)>();
         let lanes = rows.iter(&self.world).flat_map(|(r, v)| r.0.0.into_iter().chain(v.0.0));
@@ -373,28 +373,29 @@ impl<const D: usize> Flow<D> {
         self.world.resource::<Integrator>().space.length
     }
 
-    /// Which parameters the sensitivities are for, column by column.
+    /// The parameters of the sensitivities, column by column.
     pub fn columns(&self) -> &[Parameter] {
         &self.columns
     }
 
-    /// The World, for systems and queries of the caller's own.
+    /// The World, for a user's systems and queries.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// The World, to change.
+    /// The World, mutable.
     pub fn world_mut(&mut self) -> &mut World {
         &mut self.world
     }
 
-    /// The order of one step, to add systems to. Where the flow is differentiated, systems that change anything are
-    /// refused: a derivative would not know of them. What is to be learned is a [`Term`].
+    /// The schedule of one step, to add systems to. If the flow is differentiated, systems that
+    /// change anything are refused, because their derivatives are unknown. A contribution to be
+    /// learned must be a [`Term`].
     pub fn schedule_mut(&mut self) -> &mut Schedule {
         &mut self.advance
     }
 
-    /// Builds every schedule without running them: an error if two systems could run in either order.
+    /// Builds every schedule without running it: an error if the order of two systems is ambiguous.
     pub fn check_order(&mut self) -> std::result::Result<(), String> {
         let backward = self.backward.iter_mut().flat_map(Backward::all_mut);
         for schedule in [&mut self.start, &mut self.advance].into_iter().chain(backward) {
@@ -408,7 +409,7 @@ impl<const D: usize> Flow<D> {
         self.world.get_resource::<LossSum>().cloned().unwrap_or_default()
     }
 
-    /// How many of the observed frames count, from the next reset on.
+    /// Sets how many of the observed frames count, from the next reset on.
     pub fn set_window(&mut self, window: usize) {
         if let Some(mut observations) = self.world.get_resource_mut::<Observations<D>>() {
             observations.window = window.min(observations.frames.len());

@@ -1,4 +1,4 @@
-//! The state of a flow, and where it starts.
+//! The state of a flow, and its initial state.
 
 use crate::scene::Scene;
 use crate::space::PeriodicBox;
@@ -11,15 +11,15 @@ use rand_chacha::ChaCha8Rng;
 pub struct State<const D: usize> {
     /// Time.
     pub time: f64,
-    /// `r`; a flow takes each to its place inside the box.
+    /// `r`; a flow wraps positions into the box.
     pub positions: Vec<Vector<f64, D>>,
     /// `v`.
     pub velocities: Vec<Vector<f64, D>>,
 }
 
 impl<const D: usize> State<D> {
-    /// The lattice of a scene, first particle in the corner, shaken by the scene's seed, with the
-    /// velocities of the scene's field.
+    /// The lattice of a scene with its first particle in the corner, perturbed by the scene's seed,
+    /// with the velocities of the scene's field.
     pub fn initial(scene: &Scene) -> Self {
         let per_side = scene.fluid.particles_per_side;
         let spacing = scene.fluid.box_length / per_side as f64;
@@ -45,14 +45,14 @@ impl<const D: usize> State<D> {
     }
 }
 
-/// Independent streams of random numbers of one seed.
+/// Independent streams of random numbers from one seed.
 #[derive(Clone, Copy, Debug)]
 pub enum Stream {
     /// Positions and velocities of the initial state.
     Initial = 0,
-    /// The guess that a search starts from.
+    /// The initial guess of a search.
     Guess = 1,
-    /// The weights that a network starts from.
+    /// The initial weights of a network.
     Weights = 2,
     /// Phases and directions of a random solenoidal velocity field.
     Field = 3,
@@ -60,10 +60,11 @@ pub enum Stream {
     Forcing = 4,
 }
 
-/// A portable generator: the same numbers on every machine.
+/// A portable random generator: the same numbers on every machine.
 pub fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
-    // The stochastic forcing numbers its streams from zero with the time; these stay out of its way.
+    // The stochastic forcing numbers its streams from zero upwards with time; these streams are out
+    // of its range.
     generator.set_stream(u64::MAX - stream as u64);
     generator
 }

@@ -10,8 +10,8 @@ use std::f64::consts::TAU;
 /// `u = U (A sin kz + C cos ky, B sin kx + A cos kz, C sin ky + B cos kx)` with `k = 2π/L` and
 /// `U = initial.velocity`.
 ///
-/// Free of divergence, and a Beltrami field, `∇×u = k u`: in a fluid without density changes it keeps
-/// its form and decays as `e^{−νk²t}`, so it is an exact unsteady solution (Dombre et al. 1986,
+/// It is free of divergence, and a Beltrami field, `∇×u = k u`. In an incompressible fluid it keeps
+/// its form and decays as `e^{−νk²t}`: an exact unsteady solution (Dombre et al. 1986,
 /// doi:10.1017/S0022112086002859). Three dimensions only. `½⟨|u|²⟩ = U² (A² + B² + C²)/2`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -1,7 +1,7 @@
-//! Velocities that a flow starts with: one file per field, and one line in the list below.
+//! Initial velocities: one file per field, and one line in the list below.
 //!
-//! `initial.field` names the field, `initial.velocity` is its amplitude, and each particle gets the field
-//! at its own position, that is after the lattice was shaken by `initial.jitter`.
+//! `initial.field` names the field, `initial.velocity` is its amplitude. The field is evaluated at
+//! each particle's own position, that is, after the lattice has been perturbed by `initial.jitter`.
 //!
 //! | `initial.field` | velocity | dimensions |
 //! |---|---|---|
@@ -28,12 +28,13 @@ use serde::de::{Deserializer, Error, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use std::fmt::Formatter;
 
-/// A velocity field that a flow can start with.
+/// An initial velocity field.
 pub(crate) trait VelocityField {
-    /// What its numbers must satisfy in a scene.
+    /// What its parameters must satisfy in a scene.
     fn requirements(&self, scene: &Scene) -> Vec<Requirement>;
 
-    /// The velocity of each particle. `generator` has shaken the lattice and goes on from there.
+    /// The velocity of each particle. `generator` has already drawn the perturbation of the
+    /// lattice.
     fn velocities<const D: usize>(
         &self,
         scene: &Scene,
@@ -42,10 +43,10 @@ pub(crate) trait VelocityField {
     ) -> Vec<Vector<f64, D>>;
 }
 
-/// The enum of all fields, and which of them is asked.
+/// The enum of all fields, with dispatch to each.
 macro_rules! fields {
     ($($(#[$about:meta])* $name:ident,)*) => {
-        /// Which velocity field a flow starts with.
+        /// The initial velocity field.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(rename_all = "kebab-case", tag = "kind")]
         pub enum Field {
@@ -59,8 +60,8 @@ macro_rules! fields {
                 }
             }
 
-            /// The velocity of each particle. `generator` has shaken the lattice and goes on from
-            /// there.
+            /// The velocity of each particle. `generator` has already drawn the perturbation of the
+            /// lattice.
             pub(crate) fn velocities<const D: usize>(
                 &self,
                 scene: &Scene,
@@ -76,7 +77,7 @@ macro_rules! fields {
 }
 
 fields! {
-    /// Each component of each particle drawn by itself.
+    /// Each component of each particle drawn independently.
     Normal,
     /// The vortex of Taylor and Green.
     TaylorGreen,
@@ -93,12 +94,12 @@ impl Default for Field {
 }
 
 impl Field {
-    /// Whether it is the one that a scene without the key has.
+    /// Whether it is the default.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Reads a table, or the name of a field whose numbers all have defaults.
+    /// Parses a table, or the name of a field with default parameters.
     pub(crate) fn by_table_or_name<'de, S: Deserializer<'de>>(source: S) -> Result<Self, S::Error> {
         source.deserialize_any(TableOrName)
     }

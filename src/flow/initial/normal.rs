@@ -1,4 +1,4 @@
-//! Normal velocities.
+//! Normally distributed velocities.
 
 use super::VelocityField;
 use crate::scene::{Requirement, Scene};
@@ -8,9 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-/// Each component of each particle from a normal distribution of width `initial.velocity`, by itself:
-/// a start without any scale, whose spectrum is that of white noise (Woodward et al. 2022,
-/// arXiv:2110.13311).
+/// Each component of each particle is drawn independently from a normal distribution of standard
+/// deviation `initial.velocity`: a start without any length scale, with the spectrum of white noise
+/// (Woodward et al. 2022, arXiv:2110.13311).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Normal {}

@@ -11,20 +11,22 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// A sum of Fourier waves with random phases and directions, each perpendicular to its wave vector, so
-/// that the field has no divergence (Rogallo 1981, NASA TM-81315; in two dimensions the waves of a
-/// stream function).
+/// A sum of Fourier waves with random phases and directions, each perpendicular to its wave vector,
+/// so that the field has zero divergence (Rogallo 1981, NASA TM-81315; in two dimensions the waves
+/// of a stream function).
 ///
 /// `E(k)` is the shell sum of [`crate::statistics::energy_spectrum`]: the energy of all waves with
-/// `k − ½ <= |n| < k + ½`, `n` in units of `2π/L`, and `Σ E(k) = ½⟨|u|²⟩`. Waves of a shell share its energy
-/// equally, so each shell has its `E(k)` exactly, not only on average over seeds. `initial.velocity` is
-/// `u' = √(2 Σ E(k)/d)`, the rms of a component over the box and over the axes. On a lattice that is not
-/// shaken the mean over the particles is the same to round-off; elsewhere it differs by sampling.
+/// `k − ½ <= |n| < k + ½`, `n` in units of `2π/L`, and `Σ E(k) = ½⟨|u|²⟩`. Waves of a shell share
+/// its energy equally, so that each shell has exactly its `E(k)`, not only on average over seeds.
+/// `initial.velocity` is `u' = √(2 Σ E(k)/d)`, the rms of a component over the box and over the
+/// axes. On an unperturbed lattice the mean over the particles is the same to round-off; otherwise
+/// it differs by sampling.
 ///
-/// The field depends on the seed alone, not on the number of particles, and with a larger `largest` the
-/// long waves keep phases and directions: a finer run starts from the same flow. The sum costs some six
-/// nanoseconds per wave and particle, so waves are limited to `k <= 64` in two dimensions (6,500 waves)
-/// and 16 in three (9,400): at the limit about half a second per ten thousand particles on one core.
+/// The field depends on the seed only, not on the number of particles. With a larger `largest` the
+/// long waves keep their phases and directions: a finer run starts from the same flow. The sum
+/// costs about six nanoseconds per wave and particle, so that waves are limited to `k <= 64` in two
+/// dimensions (6,500 waves) and 16 in three (9,400): at the limit about half a second per ten
+/// thousand particles on one core.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomSolenoidal {
@@ -39,7 +41,7 @@ pub enum Spectrum {
     /// `E ∝ κ⁴/(5/12 + κ²)^{17/6}` with `κ = k/peak`: rises as `k⁴`, is largest at `peak` and falls as
     /// `k^{−5/3}` (von Kármán 1948, doi:10.1073/pnas.34.11.530). For turbulence.
     VonKarman {
-        /// Where the spectrum is largest.
+        /// Shell of the maximum.
         peak: f64,
         /// The last shell.
         largest: i64,
@@ -118,7 +120,8 @@ impl RandomSolenoidal {
         let mut generator = stream(scene.seed, Stream::Field);
         let waves = vectors.into_iter().map(|n| {
             let shell = shell(&n);
-            // A wave of amplitude A has the energy A²/4; those without any draw as well.
+            // A wave of amplitude A has the energy A²/4. Waves of zero energy are drawn as well, so
+            // that the others do not change.
             let amplitude = 2.0 * (energies[shell] / count[shell]).sqrt();
             let (cosine, sine) =
                 random_directions(n.map(f64::from), scene.dimension, &mut generator);

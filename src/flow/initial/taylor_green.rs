@@ -10,9 +10,10 @@ use std::f64::consts::TAU;
 /// `u = U (sin kx cos ky, −cos kx sin ky)` in two dimensions, and in three
 /// `u = U (sin kx cos ky cos kz, −cos kx sin ky cos kz, 0)`, with `k = 2π/L` and `U = initial.velocity`.
 ///
-/// Free of divergence. In two dimensions it keeps its form and decays as `e^{−2νk²t}`; in three it
-/// breaks into turbulence (Taylor & Green 1937, doi:10.1098/rspa.1937.0036; Brachet et al. 1983,
-/// doi:10.1017/S0022112083001159). `½⟨|u|²⟩ = U²/4` in two dimensions, `U²/8` in three.
+/// It is free of divergence. In two dimensions it keeps its form and decays as `e^{−2νk²t}`; in
+/// three it breaks down into turbulence (Taylor & Green 1937, doi:10.1098/rspa.1937.0036; Brachet
+/// et al. 1983, doi:10.1017/S0022112083001159). `½⟨|u|²⟩ = U²/4` in two dimensions, `U²/8` in
+/// three.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaylorGreen {}

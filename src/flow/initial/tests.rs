@@ -1,4 +1,4 @@
-//! What every velocity field promises, and each one by itself.
+//! Tests of every velocity field, and of each one separately.
 
 use super::*;
 use crate::flow::{State, Stream, stream};
@@ -7,7 +7,7 @@ use crate::statistics::energy_spectrum;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-/// A lattice that is not shaken, of `per_side` particles in a box of side 3.
+/// An unperturbed lattice of `per_side` particles in a box of side 3.
 fn scene<const D: usize>(per_side: usize, field: &str) -> Scene {
     let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
     let all = [
@@ -62,7 +62,7 @@ fn a_scene_without_a_field_starts_with_the_bits_it_always_had() {
 
 #[test]
 fn taylor_green_and_abc_have_no_divergence_and_the_energy_of_their_formula() {
-    // Differences of a sine are the sine times one factor, so only round-off is left.
+    // Differences of a sine are the sine times one factor, so that only round-off is left.
     let flat = State::<2>::initial(&scene::<2>(16, "taylor-green")).velocities;
     let deep = State::<3>::initial(&scene::<3>(12, "{kind='taylor-green'}")).velocities;
     let abc = State::<3>::initial(&scene::<3>(12, "{kind='abc',a=1,b=0.5,c=0.25}")).velocities;
@@ -115,7 +115,7 @@ fn follows_its_spectrum<const D: usize>(per_side: usize, field: &str) {
     let mut asked: Vec<f64> =
         random.spectrum.energies(D).into_iter().map(|e| 0.7 * 0.7 * e).collect();
     asked.resize(found.len(), 0.0);
-    // Every wave is a mode of the mesh: only the round-off of two transforms is between the two.
+    // Every wave is a mode of the mesh: the difference is only the round-off of two transforms.
     for (k, (found, asked)) in found.iter().zip(&asked).enumerate() {
         assert!((found - asked).abs() < 1e-13, "{field}, E({k}): {found}, asked {asked}");
     }
