@@ -1,5 +1,5 @@
-//! What stirs the flow: deterministic energy injection and stochastic large-scale modes, appendix A.3, and
-//! the stochastic forcing with a memory of Eswaran & Pope, [`ornstein_uhlenbeck`].
+//! Forcing: deterministic energy injection and stochastic large-scale modes, appendix A.3, and the
+//! stochastic forcing with a correlation time of Eswaran & Pope, [`ornstein_uhlenbeck`].
 
 pub mod ornstein_uhlenbeck;
 
@@ -15,27 +15,27 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Power {
-    /// `f = (θ/ke)(v − v̄)` with `ke` of the total velocity, as the paper prints it: injects `2θ`
-    /// less the mean flow's share (default).
+    /// `f = (θ/ke)(v − v̄)` with `ke` of the total velocity, as printed in the paper: injects `2θ`
+    /// minus the share of the mean flow (default).
     #[default]
     Paper,
     /// `f = θ (v − v̄)/⟨|v − v̄|²⟩`: injects exactly `θ` per unit mass.
     Exact,
 }
 
-/// Deterministic forcing: every velocity is pushed along its difference to the mean, so that the
-/// flow receives energy at a fixed rate and no momentum.
+/// Deterministic forcing: accelerates every particle along its velocity relative to the mean, so
+/// that the flow receives energy at a constant rate and no momentum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergyInjection {
     /// Mean velocity `v̄`.
     pub mean: [f64; 3],
-    /// What the velocity is measured from in `energy`: zero ([`Power::Paper`]) or `v̄`.
+    /// Origin of velocities in `energy`: zero ([`Power::Paper`]) or `v̄`.
     origin: [f64; 3],
     /// `E`: `ke = ½⟨|v|²⟩`, or `⟨|v − v̄|²⟩`.
     energy: f64,
     /// `∂E/∂⟨|v − origin|²⟩`: ½ or 1.
     share: f64,
-    /// `θ/E`; zero in a flow at rest, where no direction is preferred.
+    /// `θ/E`; zero in a flow at rest, which has no preferred direction.
     pub rate: f64,
     /// Power `θ`.
     pub theta: f64,
@@ -69,7 +69,7 @@ impl EnergyInjection {
         Vector(std::array::from_fn(|axis| (velocity[axis] - self.mean[axis]) * self.rate))
     }
 
-    /// How the law changes with the velocities: from `Σ δv` and `Σ (v − origin)·δv` over all
+    /// The change of the law with the velocities: from `Σ δv` and `Σ (v − origin)·δv` over all
     /// `count` particles, and `δθ`.
     pub fn tangent<const D: usize>(
         &self,
@@ -87,8 +87,8 @@ impl EnergyInjection {
         InjectionTangent { mean: sum.map(|x| x * each), rate: change }
     }
 
-    /// What the law passes back from `∂L/∂f` (`adjoint`, same order as `velocities`): each particle's
-    /// `∂L/∂v` is added to `velocity`, and `∂L/∂θ` is returned.
+    /// The pullback of the law from `∂L/∂f` (`adjoint`, in the order of `velocities`): adds each
+    /// particle's `∂L/∂v` to `velocity`, and returns `∂L/∂θ`.
     pub fn pullback<const D: usize>(
         &self,
         velocities: impl Iterator<Item = [f64; 3]> + Clone,
@@ -114,7 +114,7 @@ impl EnergyInjection {
         by_rate / self.energy
     }
 
-    /// `Σ δv` and `Σ (v − origin)·δv` over some particles, as [`Self::tangent`] wants them.
+    /// `Σ δv` and `Σ (v − origin)·δv` over some particles, for [`Self::tangent`].
     pub fn sums<const D: usize>(
         &self,
         particles: &[Packed],
@@ -153,11 +153,12 @@ impl<const D: usize> Pass for Sums<'_, D> {
     }
 }
 
-/// So many particles are summed one after another: the bits of a sum depend on it, whatever a thread costs.
+/// Number of particles, maximum, that are summed sequentially. It determines the bits of a sum, so
+/// that it must not depend on the machine.
 const IN_ORDER: usize = 4096;
 
-/// Sums three numbers over particles, by halves: the order depends on how many they are alone, so that
-/// any number of threads gives the same bits.
+/// Sums three numbers over particles, by recursive halving. The order depends only on the number of
+/// particles, so that any number of threads gives the same bits.
 fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
     let [mut a, b] = if particles.len() <= IN_ORDER {
         let mut sum = [0.0; 3];
@@ -241,8 +242,8 @@ impl Mode {
 }
 
 /// The modes `0 < |n| < 2.5` of a box of side `length`, one of each pair `±n` (10 in 2D, 40 in 3D),
-/// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`; phases (and directions in 3D) belong to the `interval`-th
-/// stretch of time of the flow with this `seed`, however long a step is.
+/// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`. Phases (and directions in 3D) depend on the `seed`
+/// and on the number `interval` of the interval of time, not on the time step.
 pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64) -> Vec<Mode> {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
     generator.set_stream(interval);
@@ -268,8 +269,8 @@ pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64)
     modes
 }
 
-/// A vector of length `|n|` perpendicular to `n`: `(−n_y, n_x)` in 2D, turned by `angle` around `n`
-/// in 3D.
+/// A vector of length `|n|` perpendicular to `n`: `(−n_y, n_x)` in 2D, rotated by `angle` around
+/// `n` in 3D.
 fn perpendicular(n: [f64; 3], dimension: usize, angle: f64) -> [f64; 3] {
     if dimension == 2 {
         return [-n[1], n[0], 0.0];

@@ -1,21 +1,22 @@
-//! Stochastic forcing with a memory: Ornstein–Uhlenbeck amplitudes on large-scale waves (Eswaran & Pope
-//! 1988, doi:10.1016/0045-7930(88)90013-8).
+//! Stochastic forcing with a correlation time: Ornstein–Uhlenbeck amplitudes of large-scale waves
+//! (Eswaran & Pope 1988, doi:10.1016/0045-7930(88)90013-8).
 //!
-//! `f(x, t) = Σ a(t) cos(k n·x) + b(t) sin(k n·x)` over the wave vectors `0 < |n| <= band`, one of each pair
-//! `±n`, with `k = 2π/L`. Each component of `a` and `b` perpendicular to `n` is an Ornstein–Uhlenbeck process,
-//! `⟨a(t) a(t + τ)⟩ = σ² e^{−|τ|/T}`, so `f` has no divergence and pushes on average nowhere. A step of `dt`
-//! is exact whatever its length:
+//! `f(x, t) = Σ a(t) cos(k n·x) + b(t) sin(k n·x)` over the wave vectors `0 < |n| <= band`, one of
+//! each pair `±n`, with `k = 2π/L`. Each component of `a` and `b` perpendicular to `n` is an
+//! Ornstein–Uhlenbeck process, `⟨a(t) a(t + τ)⟩ = σ² e^{−|τ|/T}`, so that `f` has zero divergence
+//! and zero mean. A step of any length `dt` is exact:
 //!
-//! `a(t + dt) = e^{−dt/T} a(t) + σ √(1 − e^{−2dt/T}) ξ`, `ξ` normal, from the stationary distribution on.
+//! `a(t + dt) = e^{−dt/T} a(t) + σ √(1 − e^{−2dt/T}) ξ`, `ξ` normal, starting from the stationary
+//! distribution.
 //!
-//! **Power.** `⟨|f|²⟩ = (d − 1) M σ²` with `M` waves. A velocity that keeps what it got for much longer than
-//! `T` receives `P = ⟨|f|²⟩ T` per unit mass, and `σ` is chosen by that: `⟨|f|²⟩ = P/T`. Where the flow turns
-//! the large eddies over in a time `τ` that is not long against `T`, the power is smaller, about
-//! `P/(1 + T/τ)`: choose `T` well below the eddy time, or measure the power.
+//! **Power.** `⟨|f|²⟩ = (d − 1) M σ²` with `M` waves. If velocities are correlated for much longer
+//! than `T`, they receive `P = ⟨|f|²⟩ T` per unit mass; `σ` is chosen accordingly, `⟨|f|²⟩ = P/T`.
+//! If the turnover time `τ` of the large eddies is not long compared with `T`, the power is
+//! smaller, about `P/(1 + T/τ)`: choose `T` well below the eddy time, or measure the power.
 //!
-//! **Steps.** Amplitudes are a function of seed, `dt` and number of the step alone: each step draws from a
-//! place of its own in the generator's stream. So steps can be visited in any order, as an adjoint and its
-//! checkpoints do, with the same bits.
+//! **Steps.** Amplitudes are a function of seed, `dt` and step number only: each step draws from
+//! its own place in the generator's stream. Steps can therefore be visited in any order, as an
+//! adjoint with checkpoints does, with the same bits.
 
 use crate::flow::{Stream, stream};
 use crate::waves::{Wave, Waves, wave_vectors};
@@ -23,17 +24,17 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// The widest band that a scene may ask for: 1,100 waves in three dimensions.
+/// Largest band of a scene, in units of `2π/L`: 1,100 waves in three dimensions.
 pub const WIDEST: f64 = 8.0;
 
-/// Number of the last steps that are remembered, and of marks over all steps.
+/// Number of last steps that are stored, and maximum number of stored marks over all steps.
 const KEPT: usize = 256;
 
-/// Words of the generator's stream that belong to a step, as a power of two: some four times what the
-/// [`WIDEST`] band draws.
+/// Length of each step's part of the generator's stream, as a base-2 logarithm of words: about four
+/// times what the [`WIDEST`] band draws.
 const WORDS: u32 = 16;
 
-/// How strong the forcing is, how long it remembers and where it acts.
+/// Strength, correlation time and scales of the forcing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Power per unit mass `P`.
@@ -46,13 +47,13 @@ pub struct Settings {
 
 /// The forcing of one flow, at any of its steps.
 ///
-/// A step ahead costs a normal number per amplitude: some microseconds with 40 waves. A step back costs
-/// as much while fewer than 65,536 steps have been visited, and more in proportion to them beyond. Memory
-/// is 48 bytes per wave for each of 512 steps, a megabyte with 40 waves, however many steps there are, and
-/// is taken at once.
+/// A step forwards costs a normal random number per amplitude: some microseconds with 40 waves. A
+/// step backwards costs the same while fewer than 65,536 steps have been visited, and
+/// proportionally more beyond. The memory is 48 bytes per wave for each of 512 steps, a megabyte
+/// with 40 waves, for any number of steps, and is allocated at the start.
 #[derive(Clone, Debug)]
 pub struct OrnsteinUhlenbeck {
-    /// As they are at `step`.
+    /// The waves at `step`.
     waves: Waves,
     step: u64,
     generator: ChaCha8Rng,
@@ -65,7 +66,7 @@ pub struct OrnsteinUhlenbeck {
 }
 
 impl OrnsteinUhlenbeck {
-    /// The forcing in a periodic box of side `length`, by steps of `dt`, at step 0.
+    /// The forcing in a periodic box of side `length`, with steps of `dt`, at step 0.
     pub fn new(settings: Settings, dimension: usize, length: f64, dt: f64, seed: u64) -> Self {
         let Settings { power, correlation_time, band } = settings;
         let rest = |n| Wave { n, cosine: [0.0; 3], sine: [0.0; 3] };
@@ -84,7 +85,7 @@ impl OrnsteinUhlenbeck {
         start
     }
 
-    /// The force field at a step, that is at time `step · dt`; steps may be asked for in any order.
+    /// The force field at a step, that is, at time `step · dt`; steps may be visited in any order.
     pub fn modes_at(&mut self, step: u64) -> &Waves {
         if step != self.step {
             let mut at = self.history.recall(step, &mut self.waves.list);
@@ -98,7 +99,7 @@ impl OrnsteinUhlenbeck {
         &self.waves
     }
 
-    /// From the amplitudes of the step before `step` to its own.
+    /// Advances the amplitudes from the step before `step` to `step`.
     fn advance(&mut self, step: u64) {
         let Self { waves, generator, dimension, decay, kick, .. } = self;
         generator.set_word_pos(u128::from(step) << WORDS);
@@ -114,7 +115,7 @@ impl OrnsteinUhlenbeck {
     }
 }
 
-/// A normal vector of unit width less its part along `n`.
+/// A normal vector of unit variance minus its component along `n`.
 fn normal_across(n: [f64; 3], dimension: usize, generator: &mut ChaCha8Rng) -> [f64; 3] {
     let mut drawn = [0.0; 3];
     drawn[..dimension].iter_mut().for_each(|x| *x = generator.sample(StandardNormal));
@@ -126,12 +127,12 @@ fn normal_across(n: [f64; 3], dimension: usize, generator: &mut ChaCha8Rng) -> [
 /// Amplitudes of cosine and sine.
 type Amplitudes = [[f64; 3]; 2];
 
-/// Amplitudes at steps visited: the last ones in a row, and marks spread evenly over all from which the
-/// others are found again.
+/// Amplitudes at visited steps: the last steps in a row, and marks spread evenly over all steps,
+/// from which the others are recomputed.
 #[derive(Clone, Debug)]
 struct History {
     waves: usize,
-    /// Steps `first..end`, each in the slot of its number modulo [`KEPT`].
+    /// Steps `first..end`, each at index `step` modulo [`KEPT`].
     row: Vec<Amplitudes>,
     first: u64,
     end: u64,
@@ -151,13 +152,13 @@ impl History {
         (self.marks.len() / self.waves.max(1)) as u64
     }
 
-    /// The place of a step in the row.
+    /// The range of a step in the row.
     fn slot(&self, step: u64) -> std::ops::Range<usize> {
         let slot = (step % KEPT as u64) as usize;
         slot * self.waves..(slot + 1) * self.waves
     }
 
-    /// Sets the waves to what is known of the latest step that is not after `step`, and returns its number.
+    /// Sets the waves to the latest stored step that is not after `step`, and returns its number.
     fn recall(&self, step: u64, waves: &mut [Wave]) -> u64 {
         let mark = (step / self.every).min(self.count().saturating_sub(1));
         let in_row = step.min(self.end - 1);
@@ -191,7 +192,7 @@ impl History {
         }
     }
 
-    /// Drops every other mark.
+    /// Removes every other mark.
     fn thin(&mut self) {
         let left = KEPT / 2;
         for mark in 1..left {
@@ -242,8 +243,8 @@ mod tests {
         waves.flat_map(|wave| [along(wave, wave.cosine), along(wave, wave.sine)]).collect()
     }
 
-    /// `⟨x(t) x(t + m dt)⟩` over a long run, its expectation and its standard error by Bartlett's formula,
-    /// `σ⁴/N Σⱼ ρⱼ² + ρⱼ₊ₘ ρⱼ₋ₘ`, over independent series.
+    /// `⟨x(t) x(t + m dt)⟩` over a long run, its expectation, and its standard error by Bartlett's
+    /// formula, `σ⁴/N Σⱼ ρⱼ² + ρⱼ₊ₘ ρⱼ₋ₘ`, over independent series.
     fn correlation(dt: f64, steps: u64, lag: usize) -> (f64, f64, f64) {
         let mut forcing = forcing(2, dt, 7);
         let all: Vec<Vec<f64>> = (0..steps).map(|step| series(&mut forcing, step)).collect();
@@ -260,7 +261,7 @@ mod tests {
 
     #[test]
     fn its_amplitudes_have_the_variance_and_the_correlation_that_were_asked_at_any_time_step() {
-        // The same 600 correlation times by steps of T/20, T/5 and 4T/5; lags of 0 and 4T/5.
+        // The same 600 correlation times in steps of T/20, T/5 and 4T/5; lags of 0 and 4T/5.
         for (per_time, steps) in [(20, 12_000), (5, 3_000), (1, 480)] {
             let dt = SETTINGS.correlation_time
                 * if per_time == 1 { 0.8 } else { 1.0 / f64::from(per_time) };
@@ -295,8 +296,8 @@ mod tests {
         assert!((whole.kick * whole.kick - kicks).abs() < 1e-15 * kicks.max(1.0));
     }
 
-    /// Particles that stay where they are and keep all they get, `du/dt = f(x)`: the mean of `u·f` over a box
-    /// of them, 8 correlation times after they were at rest.
+    /// Particles at fixed positions that receive `du/dt = f(x)`: the mean of `u·f` over a box of
+    /// them, 8 correlation times after a start at rest.
     fn injected(seed: u64) -> f64 {
         let (dt, steps) = (0.1 * SETTINGS.correlation_time, 80);
         let mut forcing = forcing(2, dt, seed);
@@ -320,14 +321,14 @@ mod tests {
         let square = all.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>();
         let error = square.sqrt() / f64::from(seeds as u32);
         println!("power {mean:.5} ± {error:.5}, asked {}", SETTINGS.power);
-        // The trapezoidal rule gives (dt/T)²/12 too much, and e^{−8} is missing: 1e-3 together.
+        // The trapezoidal rule is too large by (dt/T)²/12, and e^{−8} is missing: together 1e-3.
         assert!((mean - SETTINGS.power).abs() < 4.0 * error + 1e-3 * SETTINGS.power);
         assert!(error < 0.04 * SETTINGS.power);
     }
 
     #[test]
     fn a_step_has_the_same_bits_forwards_backwards_and_after_jumps() {
-        // More steps than are kept in a row, and marks that were thinned twice.
+        // More steps than the row stores, and marks that were thinned twice.
         let last = 1300;
         let mut one = forcing(2, 0.1, 5);
         let expected: Vec<Waves> = (0..=last).map(|step| one.modes_at(step).clone()).collect();

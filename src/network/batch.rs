@@ -1,37 +1,38 @@
 //! Eight inputs at once: the value of a network and its derivatives by reverse mode.
 //!
 //! Lane `l` of every number belongs to pair (or particle) `l`; weights are the same in all lanes.
-//! Everything here is inlined into its caller, who dispatches once to the widest instructions
+//! Everything here is inlined into its caller, which dispatches once to the widest instructions
 //! ([`crate::scalar::dispatch`]), and works in a [`Workspace`], so that no call allocates.
 //!
-//! The loops have a shape for a reason. An innermost loop whose rounds are independent of each other
-//! invites the compiler to vectorise over the rounds, with gathers, instead of over the lanes, at ten
-//! times the time; so every innermost loop here is a sum, or walks a matrix with two counters. None
-//! steps through a slice in chunks or strides, whose number costs a division.
+//! The form of the loops matters. If the iterations of an innermost loop are independent, the
+//! compiler vectorises over them, with gathers, instead of over the lanes, which takes ten times as
+//! long. Every innermost loop here is therefore a sum, or walks a matrix with two counters. None
+//! steps through a slice in chunks or strides, because computing their number costs a division.
 
 use super::elementary::tanh;
 use super::{Layer, LayerMut, Network};
 use crate::scalar::{Lanes, Wide};
 
-/// What an evaluation leaves for its derivatives: [`Network::value`] fills it, the others read it.
+/// The intermediate values of an evaluation: [`Network::value`] writes them, the derivatives read
+/// them.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     input: Vec<Lanes>,
     /// `y¹`, the first hidden layer.
     first: Vec<Lanes>,
-    /// `y²`, the second.
+    /// `y²`, the second hidden layer.
     second: Vec<Lanes>,
     output: Vec<Lanes>,
-    /// Derivatives by what the first hidden layer's `tanh` receives.
+    /// Derivatives by the arguments of the first hidden layer's `tanh`.
     first_cotangent: Vec<Lanes>,
-    /// By what the second's receives.
+    /// By the arguments of the second layer's.
     second_cotangent: Vec<Lanes>,
-    /// One in the output of which a derivative is asked, zero in the others.
+    /// One for the output that is differentiated, zero for the others.
     chosen: Vec<Lanes>,
 }
 
 impl Workspace {
-    /// Room for one evaluation of `network`.
+    /// A workspace for `network`.
     pub fn new(network: &Network) -> Self {
         let zeros = |count: usize| vec![Lanes::ZERO; count];
         Self {
@@ -45,14 +46,14 @@ impl Workspace {
         }
     }
 
-    /// What [`Network::value`] returned last, `[outputs]`.
+    /// The last result of [`Network::value`], `[outputs]`.
     #[inline(always)]
     pub fn output(&self) -> &[Lanes] {
         &self.output
     }
 }
 
-/// Where [`Network::pullback`] writes.
+/// The output of [`Network::pullback`].
 #[derive(Debug)]
 pub struct Cotangents<'a> {
     /// `[inputs]`: overwritten.
@@ -80,11 +81,11 @@ impl Network {
     }
 
     /// The transposed derivative of the last [`Network::value`]: from `λ = ∂L/∂out` `[outputs]`,
-    /// `∂L/∂in` and, added up, `∂L/∂θ`.
+    /// computes `∂L/∂in` and adds to `∂L/∂θ`.
     ///
     /// With `λ = 1` it gives both gradients of a network's only output. In forward mode the direct
-    /// share of the parameters in `Σⱼ wᵢⱼ NN(ij)` is the same sum: pull `wᵢⱼ` back for all neighbours
-    /// of one particle, then sum the lanes once.
+    /// derivative of `Σⱼ wᵢⱼ NN(ij)` by the parameters is the same sum: pull `wᵢⱼ` back for all
+    /// neighbours of one particle, then sum the lanes once.
     #[inline(always)]
     pub fn pullback<W: Wide>(
         &self,
@@ -137,7 +138,7 @@ impl Network {
 
     /// Forward mode for one pair and a block of eight parameters: `δout = J δin`, `[outputs]`.
     ///
-    /// `jacobian` is that of [`Network::jacobian`], of which `lane` names the pair; the lanes of
+    /// `jacobian` is that of [`Network::jacobian`], and `lane` the pair's lane in it; the lanes of
     /// `input_tangent` `[inputs]` and of the result are parameters.
     #[inline(always)]
     pub fn tangent<W: Wide>(
@@ -158,7 +159,7 @@ impl Network {
     }
 }
 
-/// From derivatives by the outputs to those by what each `tanh` receives.
+/// From derivatives by the outputs to derivatives by the arguments of each `tanh`.
 #[inline(always)]
 fn pull<W: Wide>(
     [_, second, last]: &[Layer<'_, f64>; 3],
@@ -170,7 +171,7 @@ fn pull<W: Wide>(
     second.transposed_hidden::<W>(second_cotangent, first, first_cotangent);
 }
 
-/// The same for one output alone.
+/// The same for a single output.
 #[inline(always)]
 fn pull_chosen<W: Wide>(layers: &[Layer<'_, f64>; 3], output: usize, workspace: &mut Workspace) {
     let mut chosen = std::mem::take(&mut workspace.chosen);
@@ -212,7 +213,7 @@ impl Layer<'_, f64> {
         }
     }
 
-    /// `Wᵀ λ` where `x = tanh z` went in, by `z`: times `1 − x²`.
+    /// `Wᵀ λ` times `1 − x²`: the derivative by `z` where the input was `x = tanh z`.
     #[inline(always)]
     fn transposed_hidden<W: Wide>(&self, cotangent: &[Lanes], x: &[Lanes], into: &mut [Lanes]) {
         for (column, (into, y)) in into.iter_mut().zip(x).enumerate() {

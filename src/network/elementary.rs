@@ -1,5 +1,6 @@
-//! `eˣ` and `tanh x` on eight lanes: only additions, multiplications, one division and bit patterns,
-//! without a branch, so that eight cost little more than one and every machine gives the same bits.
+//! `eˣ` and `tanh x` on eight lanes, by additions, multiplications, one division and bit
+//! operations, without branches: eight cost little more than one, and every machine gives the same
+//! bits.
 //!
 //! Both write `x = k ln 2 + r` with `|r| ≤ ½ ln 2`, and `eʳ = (R + r)/(R − r)` with the even function
 //! `R(r) = r coth(r/2)`, a short polynomial (fdlibm, `e_exp.c`).
@@ -7,15 +8,16 @@
 use crate::scalar::{Lanes, WIDTH, Wide};
 use std::f64::consts::LOG2_E;
 
-/// `1.5 · 2⁵²`: a number added to it is rounded to a whole one, which stands in its lowest bits.
+/// Rounding constant `1.5 · 2⁵²`: adding it rounds a number to an integer in the lowest bits of the
+/// sum.
 const ROUND: f64 = 6_755_399_441_055_744.0;
-/// The leading 33 bits of `ln 2`, so that small multiples are exact.
+/// `ln 2`, leading 33 bits, so that small multiples are exact.
 const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
-/// The rest of `ln 2`.
+/// `ln 2` minus its leading 33 bits.
 const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
-/// `|x|` from which `tanh x` rounds to one (19.0616), rounded up.
+/// Size of `x` from which `tanh x` rounds to one (19.0616), rounded up.
 const SATURATED: f64 = 20.0;
-/// Smallest argument of [`exp`].
+/// Argument of [`exp`], minimum.
 const LOWEST: f64 = -700.0;
 
 /// `(2ᵏ, r)` of `x = k ln 2 + r`.
@@ -38,20 +40,20 @@ fn even_part<W: Wide>(r: W) -> W {
 /// `tanh x = (e²ˣ − 1)/(e²ˣ + 1)`, with `e²ˣ = 2ᵏ (R + r)/(R − r)` multiplied out, so that nothing
 /// cancels near zero.
 ///
-/// Within 3 units in the last place of the exact value everywhere; never above one in size; keeps the
-/// sign of zero; a NaN stays one. Its derivative is `1 − y²`. Of doubles.
+/// The error is at most 3 units in the last place. The result is never above one in size, keeps the
+/// sign of zero, and is NaN for NaN. Its derivative is `1 − y²`. Only for `f64`.
 #[inline(always)]
 pub fn tanh<W: Wide>(x: W) -> W {
-    // Written so that a NaN is not less, and stays.
+    // In this form NaN compares as not less, and is kept.
     let (saturated, size) = (W::of(SATURATED), x.abs());
     let size = W::select_less(saturated, size, saturated, size);
     let (power, r) = reduce(size * 2.0);
     let even = even_part(r);
-    // The large share `2 (2ᵏ ∓ 1)` is exact: added last, it keeps the rounding of the others small.
+    // The large part `2 (2ᵏ ∓ 1)` is exact: adding it last keeps the rounding of the others small.
     let (less, more) = (power - 1.0, power + 1.0);
     let difference = less * 2.0 + (less * even + more * r);
     let sum = more * 2.0 + (more * even + less * r);
-    // Near one, what is missing to one is the smaller number, and never negative.
+    // Near one, the difference from one is the smaller number, and never negative.
     let missing = (even + 2.0 - r) * 2.0;
     let eight = W::of(8.0);
     let base = W::select_less(power, eight, W::of(0.0), W::of(1.0));
@@ -59,7 +61,7 @@ pub fn tanh<W: Wide>(x: W) -> W {
     (base + part / sum).copysign(x)
 }
 
-/// `eˣ` for `x ≤ 700`; below −700 it stays at `e⁻⁷⁰⁰ ≈ 1e-304`. Of doubles.
+/// `eˣ` for `x ≤ 700`; below −700 it stays at `e⁻⁷⁰⁰ ≈ 1e-304`. Only for `f64`.
 ///
 /// Within 1 unit in the last place of [`f64::exp`].
 #[inline(always)]

@@ -1,8 +1,8 @@
-//! The multilayer perceptron that stands in for a law, `Rⁱ → tanh(Rˡ) → tanh(Rˡ) → Rᵒ`.
+//! A multilayer perceptron in place of a law, `Rⁱ → tanh(Rˡ) → tanh(Rˡ) → Rᵒ`.
 //!
-//! A [`Network`] is a shape; its numbers live in one flat slice, so that an optimiser sees a vector.
-//! [`Network::plain`] is the formula over any [`Scalar`], slow and certain; [`Network::value`] and its
-//! derivatives evaluate eight inputs at once, write into a [`Workspace`] and never allocate.
+//! A [`Network`] is a shape; its parameters are one flat slice, so that an optimiser has a vector.
+//! [`Network::plain`] is the formula over any [`Scalar`], slow and simple; [`Network::value`] and
+//! its derivatives evaluate eight inputs at once, write into a [`Workspace`] and never allocate.
 
 mod batch;
 mod elementary;
@@ -15,15 +15,15 @@ use crate::scalar::Scalar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// No network has more parameters.
+/// Number of parameters, maximum.
 pub const MOST_PARAMETERS: usize = 10_000_000;
 
 /// The shape of a perceptron with two hidden layers of `height` units each:
 /// `y¹ = tanh(W¹x + b¹)`, `y² = tanh(W²y¹ + b²)`, `out = W³y² + b³` (section 4.1 of the paper).
 ///
 /// Its parameters are one slice, layer by layer: `W¹ [height × inputs]`, `b¹ [height]`,
-/// `W² [height × height]`, `b² [height]`, `W³ [outputs × height]`, `b³ [outputs]`, where row `j` of a
-/// matrix holds what unit `j` receives.
+/// `W² [height × height]`, `b² [height]`, `W³ [outputs × height]`, `b³ [outputs]`. Row `j` of a
+/// matrix holds the weights of unit `j`'s inputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Network {
     inputs: usize,
@@ -31,7 +31,7 @@ pub struct Network {
     outputs: usize,
 }
 
-/// One layer's share of a slice laid out as the parameters are.
+/// One layer of a slice in the layout of the parameters.
 #[derive(Clone, Copy, Debug)]
 struct Layer<'a, T> {
     /// Row by row.
@@ -39,7 +39,7 @@ struct Layer<'a, T> {
     bias: &'a [T],
 }
 
-/// The same, to be written.
+/// The same, mutable.
 #[derive(Debug)]
 struct LayerMut<'a, T> {
     weights: &'a mut [T],
@@ -74,7 +74,7 @@ impl Network {
         Ok(Self { inputs, height, outputs })
     }
 
-    /// Numbers that go in.
+    /// Number of inputs.
     #[inline(always)]
     pub fn inputs(&self) -> usize {
         self.inputs
@@ -86,13 +86,13 @@ impl Network {
         self.height
     }
 
-    /// Numbers that come out.
+    /// Number of outputs.
     #[inline(always)]
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// `(receives, units)` of each layer.
+    /// `(inputs, units)` of each layer.
     #[inline(always)]
     fn shapes(&self) -> [(usize, usize); 3] {
         [(self.inputs, self.height), (self.height, self.height), (self.height, self.outputs)]
@@ -105,7 +105,7 @@ impl Network {
         a.1 * (a.0 + 1) + b.1 * (b.0 + 1) + c.1 * (c.0 + 1)
     }
 
-    /// Parameters to start from: weights uniform in `±√(6/(receives + units))` of their layer (Glorot &
+    /// Initial parameters: weights uniform in `±√(6/(inputs + units))` of their layer (Glorot &
     /// Bengio 2010), biases zero. The same generator gives the same numbers on every machine.
     pub fn initial(&self, generator: &mut ChaCha8Rng) -> Vec<f64> {
         let mut parameters = Vec::with_capacity(self.parameter_count());
@@ -119,11 +119,11 @@ impl Network {
         parameters
     }
 
-    /// The output for one input, by the formula as it stands, over any [`Scalar`]: numbers, or dual
-    /// numbers for derivatives.
+    /// The output for one input, by the formula, over any [`Scalar`]: numbers, or dual numbers for
+    /// derivatives.
     ///
-    /// Allocates and does not vectorise: the oracle of [`Network::value`]. `parameters` holds
-    /// [`Network::parameter_count`] numbers, `input` as many as [`Network::inputs`].
+    /// It allocates and is not vectorised: the oracle of [`Network::value`]. `parameters` holds
+    /// [`Network::parameter_count`] numbers, `input` [`Network::inputs`].
     pub fn plain<T: Scalar>(&self, parameters: &[T], input: &[T]) -> Vec<T> {
         let [first, second, last] = self.layers(parameters);
         let hidden = |layer: Layer<'_, T>, x: &[T]| -> Vec<T> {
@@ -132,7 +132,7 @@ impl Network {
         last.apply(&hidden(second, &hidden(first, input)))
     }
 
-    /// A slice laid out as the parameters are, layer by layer.
+    /// A slice in the layout of the parameters, layer by layer.
     #[inline(always)]
     fn layers<'a, T>(&self, parameters: &'a [T]) -> [Layer<'a, T>; 3] {
         debug_assert_eq!(parameters.len(), self.parameter_count());
@@ -143,7 +143,7 @@ impl Network {
         [first, second, last]
     }
 
-    /// The same, to be written.
+    /// The same, mutable.
     #[inline(always)]
     fn layers_mut<'a, T>(&self, parameters: &'a mut [T]) -> [LayerMut<'a, T>; 3] {
         debug_assert_eq!(parameters.len(), self.parameter_count());

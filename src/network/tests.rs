@@ -1,4 +1,4 @@
-//! Every batched form against the plain formula and dual numbers.
+//! Compares every batched form with the plain formula and dual numbers.
 
 use super::*;
 use crate::scalar::{Dual, Lanes, WIDTH};
@@ -6,7 +6,7 @@ use pulp::{Arch, NullaryFnOnce};
 use rand::SeedableRng;
 use std::time::Instant;
 
-/// The shapes of the hierarchy, and one with everything different.
+/// The shapes of the hierarchy, and one with all sizes different.
 const SHAPES: [(usize, usize, usize); 6] =
     [(3, 5, 1), (4, 5, 1), (6, 5, 3), (1, 10, 1), (120, 5, 3), (2, 7, 4)];
 
@@ -53,7 +53,7 @@ fn dual(case: &Case, lane: usize, index: usize) -> Vec<f64> {
 fn a_network_has_as_many_parameters_as_its_layers_hold() {
     let counts = SHAPES.map(|(i, l, o)| Network::new(i, l, o).unwrap().parameter_count());
     assert_eq!(counts, [56, 61, 83, 141, 653, 109]);
-    // The counts that the paper's runs report for rot-inv and nn-sum belong to these inputs.
+    // The counts in the paper's runs for rot-inv and nn-sum correspond to these inputs.
     assert_eq!(Network::new(5, 5, 1).unwrap().parameter_count(), 66);
     assert_eq!(Network::new(12, 5, 3).unwrap().parameter_count(), 113);
 }
@@ -198,7 +198,7 @@ fn huge_weights_saturate_and_stay_finite() {
     }
 }
 
-/// One of the hot calls, many times over, under the widest instructions.
+/// One of the frequent calls, repeated many times, with the widest instructions.
 struct Work<'a> {
     case: &'a mut Case,
     kind: &'static str,

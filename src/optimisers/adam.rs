@@ -3,8 +3,8 @@
 use super::Descend;
 
 /// Gradient descent with momentum, scaled by the recent size of each component:
-/// `m ← β₁m + (1−β₁)g`, `s ← β₂s + (1−β₂)g²`, `x ← x − rate · m̂/(√ŝ + ε)`, with
-/// `β₁ = 0.9`, `β₂ = 0.999`, `ε = 1e-8` and hats for the correction of the start at zero.
+/// `m ← β₁m + (1−β₁)g`, `s ← β₂s + (1−β₂)g²`, `x ← x − rate · m̂/(√ŝ + ε)`, with `β₁ = 0.9`,
+/// `β₂ = 0.999`, `ε = 1e-8`; hats mark the correction of the bias from starting at zero.
 #[derive(Clone, Debug)]
 pub struct Adam {
     rate: f64,

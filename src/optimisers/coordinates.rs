@@ -1,8 +1,9 @@
-//! Coordinates in which the force is nearly linear, and the domains that a search keeps to.
+//! Coordinates in which the force is nearly linear, and the domains of a search.
 //!
-//! Each parameter says by which coordinate it is searched ([`crate::parameters::Coordinate`]): the sound speed by `c²`, the
-//! linear viscosity by `αc`, the exponent by `c²γ`. A search in these sees an almost linear problem over one step,
-//! wherever it starts; in `(c, α, β, γ)` itself it stalls where `c` is small, because `γ` has no effect there.
+//! Each parameter defines its coordinate ([`crate::parameters::Coordinate`]): `c²` for the sound
+//! speed, `αc` for the linear viscosity, `c²γ` for the exponent. In these coordinates the problem
+//! is almost linear over one step from any start; in `(c, α, β, γ)` a search stalls where `c` is
+//! small, because `γ` has no effect there.
 
 use crate::parameters::{Coordinate, Domain, ParameterSpec};
 
@@ -18,12 +19,12 @@ pub struct Coordinates {
 enum Kind {
     Itself,
     Square,
-    /// Times a power of the one in this place, which is searched by its square.
+    /// Times a power of the parameter at this place, which is searched by its square.
     Times(usize, i32),
 }
 
 impl Coordinates {
-    /// For learned parameters in their order.
+    /// For the learned parameters, in their order.
     pub fn new(specs: &[ParameterSpec]) -> Self {
         let kind = |spec: &ParameterSpec| match &spec.coordinate {
             Coordinate::Itself => Kind::Itself,
@@ -65,13 +66,14 @@ impl Coordinates {
         self.kinds.iter().enumerate().map(parameter).collect()
     }
 
-    /// Parameters on the way from `here` to `there`, each within its domain.
+    /// Parameters on the way from `here` to `there`, each clamped to its domain.
     pub fn into_domain(&self, here: &[f64], there: &[f64]) -> Vec<f64> {
         let each = self.domains.iter().zip(here).zip(there);
         each.map(|((domain, &here), &there)| domain.clamp(here, there)).collect()
     }
 
-    /// Which parameters stand at the edge of their domain while the loss falls beyond it: a step leaves them there.
+    /// Which parameters are at the edge of their domain while the loss decreases beyond it: a step
+    /// leaves these unchanged.
     pub fn held(&self, parameters: &[f64], gradient: &[f64]) -> Vec<bool> {
         let held = |((domain, &x), &slope): ((&Domain, &f64), &f64)| match *domain {
             Domain::NonNegative => x <= 0.0 && slope > 0.0,

@@ -1,12 +1,13 @@
-//! Limited-memory BFGS (Nocedal 1980) with a line search for losses that have kinks (Lewis & Overton
+//! Limited-memory BFGS (Nocedal 1980) with a line search for nonsmooth losses (Lewis & Overton
 //! 2013).
 //!
-//! Our own, as Levenberg–Marquardt is and for the same reasons: every trial costs a flow and its
-//! adjoint, may diverge, and is to be recorded; the crates that offer it (`argmin`) own the loop.
+//! It is implemented here, as is Levenberg–Marquardt and for the same reasons: every trial costs a
+//! flow and its adjoint, may diverge, and must be recorded, while crates that offer it (`argmin`)
+//! own the loop.
 
 use std::collections::VecDeque;
 
-/// What is remembered of the loss's curvature: pairs of steps and changes of the gradient.
+/// The stored curvature of the loss: pairs of steps and changes of the gradient.
 #[derive(Clone, Debug)]
 pub struct Lbfgs {
     memory: usize,
@@ -19,12 +20,12 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl Lbfgs {
-    /// Remembers up to `memory` pairs.
+    /// Stores up to `memory` pairs.
     pub fn new(memory: usize) -> Self {
         Self { memory, pairs: VecDeque::new() }
     }
 
-    /// The direction `−H g` by the two-loop recursion; without any memory `−g/|g|`.
+    /// The direction `−H g` by the two-loop recursion; without stored pairs `−g/|g|`.
     pub fn direction(&self, gradient: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = gradient.iter().map(|g| -g).collect();
         let Some((s, y, _)) = self.pairs.back() else {
@@ -47,8 +48,8 @@ impl Lbfgs {
         q
     }
 
-    /// Remembers the step `s` that changed the gradient by `y`; one without positive curvature is not
-    /// worth remembering.
+    /// Stores the step `s` and the change `y` of the gradient. A pair without positive curvature is
+    /// not stored.
     pub fn remember(&mut self, s: Vec<f64>, y: Vec<f64>) {
         let curvature = dot(&s, &y);
         if curvature.is_nan() || curvature <= 1e-12 * (dot(&s, &s) * dot(&y, &y)).sqrt() {
@@ -60,19 +61,19 @@ impl Lbfgs {
         self.pairs.push_back((s, y, 1.0 / curvature));
     }
 
-    /// Forgets all curvature.
+    /// Removes all pairs.
     pub fn forget(&mut self) {
         self.pairs.clear();
     }
 
-    /// Whether nothing is remembered.
+    /// Whether no pair is stored.
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }
 }
 
-/// A search along a line for a length that lowers the loss enough and flattens its slope enough
-/// (weak Wolfe conditions), by doubling and halving: loss and slope at the start, then trials.
+/// A line search for a length that lowers the loss and the slope enough (weak Wolfe conditions), by
+/// doubling and halving, from loss and slope at the start.
 #[derive(Clone, Copy, Debug)]
 pub struct LineSearch {
     loss: f64,
@@ -84,13 +85,13 @@ pub struct LineSearch {
 }
 
 impl LineSearch {
-    /// From a place of this loss, with this slope along the direction, `< 0`.
+    /// From a point of this loss, with this slope along the direction, `< 0`.
     pub fn new(loss: f64, slope: f64, length: f64) -> Self {
         Self { loss, slope, low: 0.0, high: f64::INFINITY, length }
     }
 
-    /// Whether a trial at [`LineSearch::length`] may end the search; where not, the length moves on.
-    /// `None` is a trial whose flow diverged.
+    /// Whether a trial at [`LineSearch::length`] ends the search; if not, the length changes.
+    /// `None` is a trial that diverged.
     pub fn accept(&mut self, trial: Option<(f64, f64)>) -> bool {
         match trial {
             Some((loss, slope)) if loss <= self.loss + 1e-4 * self.length * self.slope => {

@@ -1,12 +1,12 @@
 //! Levenberg–Marquardt (Levenberg 1944, Marquardt 1963), with Nielsen's damping (1999).
 //!
-//! Our own, on the normal equations: the crate `levenberg-marquardt` wants every residual and its
-//! derivatives in one matrix, cannot take back a trial that diverged, and shows nothing between its
-//! first and last iteration. Here memory does not grow with the number of residuals, a failed trial
-//! only raises the damping, and every trial can be recorded. The loss of digits that normal equations
-//! bring does not matter where the residuals vanish at the solution.
+//! It is implemented here, on the normal equations: the crate `levenberg-marquardt` needs every
+//! residual and its derivatives in one matrix, cannot reject a trial that diverged, and reports
+//! nothing between its first and last iteration. Here memory does not grow with the number of
+//! residuals, a failed trial only raises the damping, and every trial can be recorded. Normal
+//! equations lose digits, which does not matter if the residuals vanish at the solution.
 
-/// The damping of the search, and how it reacts to failure.
+/// The damping of the search, and its adaptation.
 #[derive(Clone, Debug)]
 pub struct LevenbergMarquardt {
     damping: f64,
@@ -19,20 +19,20 @@ impl LevenbergMarquardt {
         Self { damping, growth: 2.0 }
     }
 
-    /// The damping `λ` now.
+    /// The current damping `λ`.
     pub fn damping(&self) -> f64 {
         self.damping
     }
 
-    /// The step `δ` with `(N + λ diag N) δ = −g/2`, from gradient `g` and normal matrix `N`
-    /// (row by row), and the loss that it should take away if residuals were linear. `None` where
-    /// the damped matrix is not positive definite.
+    /// The step `δ` with `(N + λ diag N) δ = −g/2`, from gradient `g` and normal matrix `N` (row by
+    /// row), and the decrease of the loss that it predicts for linear residuals. `None` where the
+    /// damped matrix is not positive definite.
     pub fn propose(&self, gradient: &[f64], normal: &[f64]) -> Option<(Vec<f64>, f64)> {
         let count = gradient.len();
         let mut matrix = normal.to_vec();
         for k in 0..count {
             let diagonal = matrix[k * count + k];
-            // A parameter without any effect stays where it is.
+            // A parameter without any effect does not move.
             matrix[k * count + k] =
                 if diagonal > 0.0 { diagonal * (1.0 + self.damping) } else { 1.0 };
         }
@@ -48,7 +48,7 @@ impl LevenbergMarquardt {
         step.iter().all(|x| x.is_finite()).then_some((step, gain))
     }
 
-    /// The trial took `actual` of the `predicted` loss away: trust the model more, or less.
+    /// The trial lowered the loss by `actual`, where `predicted` was expected: adapts the damping.
     pub fn accept(&mut self, actual: f64, predicted: f64) {
         let ratio = if predicted > 0.0 { actual / predicted } else { 0.0 };
         let factor = 1.0 - (2.0 * ratio - 1.0).powi(3);
@@ -63,7 +63,7 @@ impl LevenbergMarquardt {
     }
 }
 
-/// Solves `A x = b` for a symmetric positive definite matrix by Cholesky's decomposition, after
+/// Solves `A x = b` for a symmetric positive definite matrix by Cholesky decomposition, after
 /// scaling its diagonal to one; `None` where it is not positive definite.
 fn solve_positive(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     let n = b.len();
@@ -100,7 +100,7 @@ fn solve_positive(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
 mod tests {
     use super::*;
 
-    /// Residuals of Rosenbrock's valley: loss, gradient, normal matrix.
+    /// Rosenbrock's function as residuals: loss, gradient, normal matrix.
     fn valley([x, y]: [f64; 2]) -> (f64, [f64; 2], [f64; 4]) {
         let residuals = [10.0 * (y - x * x), 1.0 - x];
         let slopes = [[-20.0 * x, 10.0], [-1.0, 0.0]];

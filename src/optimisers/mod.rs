@@ -1,4 +1,4 @@
-//! Optimisers: from a loss and its derivatives to better parameters.
+//! Optimisers: better parameters from a loss and its derivatives.
 //!
 //! | optimiser | needs | recommended |
 //! |---|---|---|
@@ -23,9 +23,9 @@ pub use spectrum::Spectrum;
 
 /// A first-order optimiser: moves parameters against a gradient.
 pub trait Descend {
-    /// One step from `parameters` along their loss's `gradient`.
+    /// One step from `parameters` against the loss's `gradient`.
     fn descend(&mut self, parameters: &mut [f64], gradient: &[f64]);
-    /// The learning rate now.
+    /// The current learning rate.
     fn rate(&self) -> f64;
     /// Changes the learning rate.
     fn set_rate(&mut self, rate: f64);

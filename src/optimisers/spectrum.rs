@@ -1,12 +1,15 @@
-//! The spectrum of a normal matrix, after its diagonal was scaled to one: which directions the residuals see.
+//! The spectrum of a normal matrix with its diagonal scaled to one: which directions change the
+//! residuals.
 
-/// Below this share of the diagonal, per parameter, an eigenvalue is round-off: its direction changes nothing.
+/// Eigenvalue, relative to the diagonal and per parameter, at or below which it is round-off and
+/// its direction changes nothing.
 const NOTHING: f64 = 1e-14;
 
-/// A share of a direction that changes nothing by which a parameter counts as not told apart.
+/// Squared component of a parameter in directions that change nothing, above which the parameter
+/// cannot be separated from others.
 const SHARE: f64 = 1e-3;
 
-/// Sweeps of Jacobi's rotations; five do for matrices of a hundred rows.
+/// Number of sweeps of Jacobi rotations, maximum; five are enough for matrices of a hundred rows.
 const SWEEPS: usize = 50;
 
 /// Eigenvalues and eigenvectors of a scaled symmetric matrix with a positive diagonal.
@@ -21,7 +24,7 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
-    /// Of a matrix, row by row; none where it is not finite or its diagonal not positive.
+    /// Of a matrix, row by row; none where it is not finite or its diagonal is not positive.
     pub fn of(matrix: &[f64], count: usize) -> Option<Self> {
         let diagonal = |k: usize| matrix[k * count + k];
         if !matrix.iter().all(|x| x.is_finite()) || !(0..count).all(|k| diagonal(k) > 0.0) {
@@ -48,7 +51,7 @@ impl Spectrum {
         self.values[eigen] > NOTHING * self.count as f64
     }
 
-    /// Which parameters take part in a direction that changes nothing.
+    /// Which parameters have a share in a direction that changes nothing.
     pub fn inseparable(&self) -> Vec<bool> {
         let share = |k: usize| {
             let unseen = (0..self.count).filter(|&e| !self.sees(e));
@@ -57,7 +60,7 @@ impl Spectrum {
         (0..self.count).map(|k| share(k) > SHARE).collect()
     }
 
-    /// The inverse over the directions that are seen, row by row.
+    /// The inverse over the other directions, row by row.
     fn inverse(&self) -> Vec<f64> {
         let entry = |index: usize| {
             let (a, b) = (index / self.count, index % self.count);
@@ -97,7 +100,7 @@ fn off_diagonal(matrix: &[f64], count: usize) -> f64 {
     entries.map(|(_, x)| x * x).sum()
 }
 
-/// One of Jacobi's rotations, which takes entry `(p, q)` to zero.
+/// A Jacobi rotation, which makes entry `(p, q)` zero.
 fn rotate(matrix: &mut [f64], vectors: &mut [f64], (p, q, count): (usize, usize, usize)) {
     let off = matrix[p * count + q];
     if off.abs() <= f64::MIN_POSITIVE {
