@@ -1,9 +1,9 @@
-//! What an evaluation found, as figures and tables: JSON for programs, one HTML file for readers, one
-//! SVG file per figure for a README.
+//! The report of an evaluation as figures and tables: JSON for programs, one HTML file for readers,
+//! one SVG file per figure for a README.
 //!
 //! [`Report`] is plain data and holds every number once; [`Report::json`], [`Report::html`] and
-//! [`Figure::svg`] only write it down. The JSON is the source: the page repeats each of its numbers in
-//! the attribute `data-value`, digit for digit.
+//! [`Figure::svg`] only serialise it. The JSON is the source: the page repeats each of its numbers
+//! in the attribute `data-value`, digit for digit.
 
 mod page;
 mod svg;
@@ -12,14 +12,14 @@ mod terminal;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Figures and tables with the words that explain them.
+/// Figures and tables with explanations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// The heading of the page.
     pub title: String,
-    /// What was asked and how it was answered, one entry per paragraph.
+    /// The question and the method, one entry per paragraph.
     pub about: Vec<String>,
-    /// What it takes to repeat the run, as pairs of name and value: scene, command, seed.
+    /// What is needed to repeat the run, as pairs of name and value: scene, command, seed.
     pub facts: Vec<(String, String)>,
     /// The tables, in reading order.
     pub tables: Vec<Table>,
@@ -30,13 +30,14 @@ pub struct Report {
 /// Numbers in rows and columns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Table {
-    /// What links call it: the `id` of the table on the page.
+    /// The `id` of the table on the page, for links.
     pub name: String,
-    /// What it is about, in a few words.
+    /// The title.
     pub title: String,
-    /// What must be known to read it.
+    /// The explanation needed to read it.
     pub caption: String,
-    /// The headings: of the column of row names first if there is one more than cells, else of the cells.
+    /// The headings: including that of the column of row names if there is one more heading than
+    /// cells.
     pub columns: Vec<String>,
     /// The rows, from top to bottom.
     pub rows: Vec<Row>,
@@ -45,9 +46,9 @@ pub struct Table {
 /// One line of a [`Table`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Whose numbers these are.
+    /// The name of the row.
     pub name: String,
-    /// In which capacity it appears.
+    /// The role of the row.
     pub role: Role,
     /// One entry per column.
     pub cells: Vec<Cell>,
@@ -60,46 +61,46 @@ pub struct Row {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Cell {
-    /// How many.
+    /// A count.
     Count(u64),
-    /// How much.
+    /// A quantity.
     Number(f64),
-    /// In words.
+    /// A text.
     Text(String),
     /// Not measured, or not applicable.
     Nothing,
 }
 
-/// In which capacity a row or a curve appears; it decides how it is drawn.
+/// The role of a row or a curve, which decides how it is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// What the models should find: thick and black.
+    /// The truth: thick and black.
     Truth,
-    /// What no model can fall below, or what knowing nothing gives: grey and dashed.
+    /// A lower bound for models, or the result of knowing nothing: grey and dashed.
     Floor,
-    /// A learned model: a colour, a dash pattern and a marker of its own.
+    /// A learned model: with a colour, a dash pattern and a marker of its own.
     Model,
-    /// Numbers from a paper: hollow markers.
+    /// Published numbers: hollow markers.
     Published,
 }
 
 /// Curves over one pair of axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// What links call it: the `id` of the figure on the page and the name of its SVG file.
+    /// The `id` of the figure on the page, and the name of its SVG file.
     pub name: String,
-    /// What it shows, in a few words.
+    /// The title.
     pub title: String,
-    /// What must be known to read it.
+    /// The explanation needed to read it.
     pub caption: String,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
     pub y: Axis,
-    /// What is drawn, in the order of the legend.
+    /// The curves, in the order of the legend.
     pub curves: Vec<Curve>,
-    /// What is shaded behind it.
+    /// The shaded spans in the background.
     pub spans: Vec<Span>,
 }
 
@@ -108,28 +109,29 @@ pub struct Figure {
 pub struct Axis {
     /// Quantity and unit.
     pub label: String,
-    /// How a value becomes a place on the axis.
+    /// The scale of values on the axis.
     pub scale: Scale,
 }
 
-/// How a value becomes a place on an [`Axis`].
+/// The scale of values on an [`Axis`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scale {
     /// Equal differences are equal distances.
     Linear,
-    /// Equal ratios are equal distances; a value at or below zero has no place and breaks its curve.
+    /// Equal ratios are equal distances; a value at or below zero is left out and interrupts its
+    /// curve.
     Logarithmic,
 }
 
-/// One line of a [`Figure`], with the band about it; NaN is `null` in JSON, and a gap when drawn.
+/// One line of a [`Figure`] with its band; NaN is `null` in JSON, and a gap in the drawing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// What the legend calls it; a known model has the same colour in every figure.
+    /// Its name in the legend; a known model has the same colour in every figure.
     pub name: String,
-    /// In which capacity it appears.
+    /// Its role.
     pub role: Role,
-    /// Where it was measured.
+    /// The values of `x`.
     #[serde(deserialize_with = "numbers_or_gaps")]
     pub x: Vec<f64>,
     /// The value drawn as a line, one per `x`.
@@ -146,7 +148,7 @@ pub struct Curve {
 /// A shaded range of `x`, such as the densities seen in training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Span {
-    /// What the legend calls it.
+    /// Its name in the legend.
     pub label: String,
     /// Where it begins.
     #[serde(deserialize_with = "number_or_gap")]
@@ -184,9 +186,10 @@ impl Table {
 impl Figure {
     /// The figure as a stand-alone SVG file on white, 760 wide, with its legend beside the axes.
     ///
-    /// Values that are not finite, beyond ±10¹⁵⁰, or without a place on a logarithmic axis are left out.
-    /// A logarithmic `y` shows ten decades at most, fewer when a gap of four separates a curve that is
-    /// exact to round-off from the rest: arrows at the lower edge and the legend tell what lies below.
+    /// Values that are not finite, beyond ±10¹⁵⁰, or not positive on a logarithmic axis are left
+    /// out. A logarithmic `y` shows at most ten decades, and fewer if a gap of four separates a
+    /// curve that is exact to round-off from the rest: arrows at the lower edge and the legend
+    /// indicate values below.
     pub fn svg(&self) -> Result<String> {
         svg::draw(self).map_err(|cause| unwritten(&self.name, &cause))
     }
@@ -207,7 +210,7 @@ fn numbers_or_gaps<'de, R: Deserializer<'de>>(
     Ok(numbers.into_iter().map(|number| number.unwrap_or(f64::NAN)).collect())
 }
 
-/// A number to `digits` significant ones, as print has it: `12`, `0.0154`, `2.00·10⁻⁷`, `−3.1`.
+/// A number with `digits` significant digits, in print style: `12`, `0.0154`, `2.00·10⁻⁷`, `−3.1`.
 fn printed(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();
@@ -228,7 +231,7 @@ fn printed(value: f64, digits: usize) -> String {
     text.replace('-', "−")
 }
 
-/// An integer in raised digits: `⁻²⁰`.
+/// An integer in superscript digits: `⁻²⁰`.
 fn superscript(exponent: i32) -> String {
     let raised = |digit| match digit {
         '-' => '⁻',
@@ -275,7 +278,7 @@ mod tests {
         }
     }
 
-    /// A little of everything.
+    /// A report with something of everything.
     pub(super) fn sample() -> Report {
         let (x, y) = ([1.0, 2.0, 3.0, 40.0], [1e-32, 0.1 + 0.2, 0.0, 1.0 / 3.0]);
         let curves = vec![

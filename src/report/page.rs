@@ -1,4 +1,4 @@
-//! The page: one HTML file with everything in it.
+//! The page: one self-contained HTML file.
 
 use super::{Cell, Curve, Figure, Report, Role, Row, Span, Table, printed};
 use crate::error::Result;
@@ -108,7 +108,8 @@ fn table(number: usize, table: &Table) -> Markup {
     }
 }
 
-/// Whether a column holds words, which are set to the left as numbers are to the right.
+/// Whether a column holds words, which are aligned to the left, while numbers are aligned to the
+/// right.
 fn wordy(table: &Table, column: usize) -> bool {
     let cell = |row: &Row| {
         let names = usize::from(table.columns.len() > row.cells.len());
@@ -144,7 +145,8 @@ fn cell(cell: &Cell) -> Markup {
     }
 }
 
-/// Three digits for the reader, all of them in `data-value`, exactly as in the JSON.
+/// A number with three digits for the reader, and with all digits in `data-value`, exactly as in
+/// the JSON.
 fn number(value: Option<f64>) -> Markup {
     let exact = value.filter(|value| value.is_finite());
     let exact = exact.and_then(|value| Some((value, serde_json::to_string(&value).ok()?)));
@@ -187,7 +189,7 @@ fn curve(curve: &Curve) -> Markup {
     }
 }
 
-/// A span, by its two ends.
+/// A span, given by its ends.
 fn span(span: &Span) -> Markup {
     html! {
         tbody {
@@ -203,7 +205,7 @@ fn span(span: &Span) -> Markup {
 mod tests {
     use super::super::tests::sample;
 
-    /// Both in sorted order, since the page has in rows what the JSON has in columns.
+    /// Both sorted, because the page has in rows what the JSON has in columns.
     #[test]
     fn the_page_repeats_every_number_of_the_json() {
         let (json, html) = (sample().json().unwrap(), sample().html().unwrap());

@@ -1,9 +1,9 @@
 //! The drawing: plotters draws the axes, this file places curves, bands, markers and the legend.
 //!
-//! Three shortcomings of plotters' SVG are met here. It rounds to whole units, so a unit is a hundredth
-//! of a pixel. Its logarithmic axes print `0.00000001`, so [`Ruler`] takes the logarithms and chooses
-//! ticks and labels. It has no dashes, so each pattern has a line width of its own (a hundredth of a
-//! pixel apart) by which [`finished`] finds the lines to dash.
+//! The file works around three limits of plotters' SVG. It rounds to whole units, so that a unit is
+//! a hundredth of a pixel. Its logarithmic axes print `0.00000001`, so that [`Ruler`] takes the
+//! logarithms and chooses ticks and labels. It has no dashes, so that each pattern has its own line
+//! width (a hundredth of a pixel apart), by which [`finished`] finds the lines to dash.
 
 use super::{Axis, Curve, Figure, Role, Scale, Span, printed, superscript};
 use plotters::coord::Shift;
@@ -16,26 +16,26 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 const UNIT: f64 = 100.0;
 /// Width of a figure, in pixels.
 const WIDTH: f64 = 760.0;
-/// Least height of a figure, in pixels; a long legend adds to it.
+/// Height of a figure, minimum, in pixels; a long legend adds to it.
 const HEIGHT: f64 = 400.0;
 /// Width of the legend, to the right of the axes, in pixels.
 const LEGEND: f64 = 190.0;
 /// Distance between two lines of text, in pixels.
 const LEADING: f64 = 16.0;
-/// The most decades a logarithmic `y` shows.
+/// Number of decades of a logarithmic `y`, maximum.
 const DECADES: f64 = 10.0;
-/// Beyond this, differences of numbers could overflow.
+/// Size of a value, maximum: beyond it, differences of numbers could overflow.
 const HUGE: f64 = 1e150;
-/// The fonts, the first that exists.
+/// Font families, in the order of preference.
 const FONT: &str = "Helvetica, Arial, Liberation Sans, sans-serif";
-/// Text and axes.
+/// Colour of text and axes.
 const INK: RGBColor = RGBColor(40, 40, 40);
-/// What matters less.
+/// Colour of less important lines.
 const GREY: RGBColor = RGBColor(110, 110, 110);
-/// A shaded span.
+/// Colour of a shaded span.
 const SHADE: RGBColor = RGBColor(238, 236, 222);
 
-/// The models whose looks never change.
+/// The models with fixed colours and markers.
 const KNOWN: [&str; 6] = ["node", "nn-sum", "rot-inv", "grad-p", "eos-nn", "physics"];
 /// Colours of the known models (Okabe and Ito), then of others (Tol).
 const COLOURS: [RGBColor; 11] = [
@@ -54,7 +54,8 @@ const COLOURS: [RGBColor; 11] = [
 /// Markers as regular polygons: corners, and the direction of the first in degrees.
 const SHAPES: [(u32, f64); 7] =
     [(24, 0.0), (4, 45.0), (3, -90.0), (4, 0.0), (3, 90.0), (5, -90.0), (6, 0.0)];
-/// Line widths that mean a dash pattern; of models 200 and up, of truths 320 and up, of floors 180 and up.
+/// Line width and dash pattern, in drawing units. Models have widths of 200 and up, truths of 320
+/// and up, floors of 180 and up.
 const DASHES: [(u32, &str); 11] = [
     (201, "900 350"),
     (202, "1400 300 250 300"),
@@ -70,9 +71,9 @@ const DASHES: [(u32, &str); 11] = [
 ];
 
 type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-/// A place on the axes, or in drawing units.
+/// A point in the values of the axes, or in drawing units.
 type Point = (f64, f64);
-/// What plotters returns when it cannot draw; into a string it always can.
+/// The result of plotters; drawing into a string cannot fail.
 pub(super) type Failure = DrawingAreaErrorKind<std::io::Error>;
 type Drawn = std::result::Result<(), Failure>;
 
@@ -97,7 +98,7 @@ pub(super) fn draw(figure: &Figure) -> std::result::Result<String, Failure> {
         for trace in &traces {
             trace.shade(&canvas, &plane, frame)?;
         }
-        // The truth lies under the models, thicker than they, so that both can be seen.
+        // The truth is drawn below the models and thicker, so that both are visible.
         for rank in [Role::Floor, Role::Truth, Role::Model, Role::Published] {
             for trace in traces.iter().filter(|trace| trace.look.role == rank) {
                 trace.stroke(&canvas, &plane, frame)?;
@@ -172,7 +173,7 @@ fn axes(
     Ok(frame)
 }
 
-/// Draws the line of zero, or says that there is nothing to draw.
+/// Draws the zero line, or a note that there is nothing to draw.
 fn remarks(canvas: &Canvas, plane: &Plane, frame: Frame) -> Drawn {
     let (x, y) = (&plane.x, &plane.y);
     if y.axis.scale == Scale::Linear && y.low < 0.0 && y.high > 0.0 {
@@ -205,14 +206,14 @@ struct Frame {
 }
 
 impl Frame {
-    /// From places on the axes to drawing units.
+    /// Converts values of the axes to drawing units.
     fn at(&self, plane: &Plane, (x, y): Point) -> Point {
         let (x, y) = (plane.x.share(x), plane.y.share(y));
         (self.left + x * (self.right - self.left), self.bottom - y * (self.bottom - self.top))
     }
 }
 
-/// One axis: which places it shows (logarithms, if logarithmic) and where its ticks are.
+/// One axis: its range (of logarithms, if logarithmic) and its ticks.
 struct Ruler<'a> {
     axis: &'a Axis,
     low: f64,
@@ -258,12 +259,12 @@ impl<'a> Ruler<'a> {
         Self { axis, low, high, bold, light, empty: range.is_none() }
     }
 
-    /// Where on the axis a place lies, from 0 to 1, or beyond if it is not shown.
+    /// Position of a value on the axis, from 0 to 1, or outside if it is not shown.
     fn share(&self, place: f64) -> f64 {
         (place - self.low) / (self.high - self.low)
     }
 
-    /// The part of a span that the axis shows.
+    /// The visible part of a span.
     fn span(&self, from: f64, to: f64) -> Option<(f64, f64)> {
         let edge = |value: f64| match place(self.axis.scale, value) {
             None if value <= 0.0 && value.is_finite() => Some(self.low),
@@ -284,7 +285,7 @@ impl<'a> Ruler<'a> {
     }
 }
 
-/// The axis as plotters reads it.
+/// The axis in the form that plotters reads.
 impl Ranged for &Ruler<'_> {
     type FormatOption = NoDefaultFormatting;
     type ValueType = f64;
@@ -313,7 +314,7 @@ impl ValueFormatter<f64> for &Ruler<'_> {
     }
 }
 
-/// Where a value lies on an axis, if anywhere.
+/// Position of a value on an axis; none if it has none.
 fn place(scale: Scale, value: f64) -> Option<f64> {
     if !value.is_finite() || value.abs() > HUGE {
         return None;
@@ -331,7 +332,7 @@ fn range(places: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// The range of the ten decades that hold the most of the sorted logarithms; of equals the highest.
+/// The range of the ten decades that hold most of the sorted logarithms; among equals the highest.
 fn crowded(sorted: &[f64]) -> Option<(f64, f64)> {
     let windows = sorted.iter().enumerate().map(|(first, low)| {
         let end = sorted.partition_point(|place| *place <= low + DECADES);
@@ -340,7 +341,7 @@ fn crowded(sorted: &[f64]) -> Option<(f64, f64)> {
     windows.max_by_key(|window| window.0).map(|(_, low, high)| (low, high))
 }
 
-/// A linear axis about `low..=high`: from zero if that is near, never of no width.
+/// A linear axis around `low..=high`: from zero if that is near, and never of zero width.
 fn linear_edges(low: f64, high: f64, pad: f64) -> (f64, f64) {
     let size = low.abs().max(high.abs());
     if high - low <= 1e-9 * size || size < 1.0 / HUGE {
@@ -354,7 +355,7 @@ fn linear_edges(low: f64, high: f64, pad: f64) -> (f64, f64) {
     (if from_zero { 0.0 } else { low - pad }, if to_zero { 0.0 } else { high + pad })
 }
 
-/// About five round places from `low` to `high`, labelled with as many digits as tell them apart.
+/// About five round values from `low` to `high`, labelled with enough digits to distinguish them.
 fn linear_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let rough = (high - low) / 5.0;
     let decade = 10f64.powf(rough.log10().floor());
@@ -369,7 +370,7 @@ fn linear_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     at.map(|at| (at, linear_label(at, fine, size))).collect()
 }
 
-/// `at` down to the decimal place 10^`fine`, on an axis of numbers up to 10^`size`.
+/// `at` to the decimal place 10^`fine`, on an axis of numbers up to 10^`size`.
 fn linear_label(at: f64, fine: i32, size: i32) -> String {
     let text = if at.abs() < 10f64.powi(fine) / 2.0 {
         "0".to_owned()
@@ -382,7 +383,7 @@ fn linear_label(at: f64, fine: i32, size: i32) -> String {
     text.replace('-', "−")
 }
 
-/// Powers of ten with lines for 2 to 9 between them; over less than a decade, round numbers.
+/// Powers of ten with lines for 2 to 9 between them; round numbers if there is less than a decade.
 fn logarithmic_ticks(low: f64, high: f64) -> (Vec<(f64, String)>, Vec<f64>) {
     let inside = |at: &f64| (low - 1e-9..=high + 1e-9).contains(at);
     let decades: Vec<i32> = (low.floor() as i32..=high.ceil() as i32).collect();
@@ -431,11 +432,11 @@ struct Look {
     role: Role,
     colour: RGBColor,
     width: u32,
-    /// The number of the model, of which its marker is a function.
+    /// The index of the model, which determines its marker.
     number: usize,
 }
 
-/// The look of every curve: of known models by name, of others by order.
+/// The style of every curve: of known models by name, of others by order.
 fn looks(curves: &[Curve]) -> Vec<Look> {
     let look_at = |(at, curve): (usize, &Curve)| {
         let alike = |other: &&Curve| other.role == curve.role && known(other).is_none();
@@ -444,7 +445,7 @@ fn looks(curves: &[Curve]) -> Vec<Look> {
     curves.iter().enumerate().map(look_at).collect()
 }
 
-/// Which of the known models a curve is, or whose published numbers it shows.
+/// The known model that a curve belongs to, or that its published numbers belong to.
 fn known(curve: &Curve) -> Option<usize> {
     KNOWN.iter().position(|name| match curve.role {
         Role::Model => *name == curve.name,
@@ -466,19 +467,19 @@ fn look(role: Role, known: Option<usize>, before: usize) -> Look {
     Look { role, colour, width: width as u32, number }
 }
 
-/// One entry of a curve that has a place on the axes.
+/// One entry of a curve with a position on the axes.
 struct Mark {
     x: f64,
     y: f64,
-    /// The band; its lower edge is −∞ where a logarithm has none.
+    /// The band; its lower edge is −∞ where it has no logarithm.
     band: Option<Point>,
 }
 
-/// A curve as drawn.
+/// A curve as a sequence of drawn pieces.
 struct Trace<'a> {
     curve: &'a Curve,
     look: Look,
-    /// Marks without a gap between them.
+    /// Consecutive marks without a gap.
     runs: Vec<Vec<Mark>>,
 }
 
@@ -514,7 +515,7 @@ fn runs(figure: &Figure, curve: &Curve) -> Vec<Vec<Mark>> {
 }
 
 impl Trace<'_> {
-    /// The bands; a mark that stands alone has a bar instead, drawn by [`Trace::stroke`].
+    /// Draws the bands; an isolated mark has an error bar instead, drawn by [`Trace::stroke`].
     fn shade(&self, canvas: &Canvas, plane: &Plane, frame: Frame) -> Drawn {
         for run in self.runs.iter().filter(|run| run.len() > 1) {
             let parts = run.split(|mark| mark.band.is_none());
@@ -531,7 +532,7 @@ impl Trace<'_> {
         Ok(())
     }
 
-    /// The line, its markers, and arrows where it leaves the axes.
+    /// Draws the line, its markers, and arrows where it leaves the axes.
     fn stroke(&self, canvas: &Canvas, plane: &Plane, frame: Frame) -> Drawn {
         for run in &self.runs {
             let path: Vec<Point> = run.iter().map(|mark| (mark.x, mark.y)).collect();
@@ -560,7 +561,7 @@ impl Trace<'_> {
         Ok(())
     }
 
-    /// A mark that stands alone, with its band as an error bar.
+    /// An isolated mark, with its band as an error bar.
     fn bar(&self, canvas: &Canvas, plane: &Plane, (frame, mark): (Frame, &Mark)) -> Drawn {
         if let Some((low, high)) = mark.band {
             let end = |y: f64| frame.at(plane, (mark.x, y.clamp(plane.y.low, plane.y.high)));
@@ -574,7 +575,7 @@ impl Trace<'_> {
         self.look.mark(canvas, frame.at(plane, (mark.x, mark.y)))
     }
 
-    /// What the legend says of values that the axis does not show.
+    /// The note in the legend about values outside of the axes.
     fn hidden(&self, plane: &Plane) -> Vec<String> {
         let marks = || self.runs.iter().flatten().map(|mark| mark.y);
         let value = |place: f64| printed(10f64.powf(place), 2);
@@ -629,7 +630,7 @@ impl Look {
     }
 }
 
-/// An arrow at the edge of the axes that points out of them, downwards if `sign` is 1.
+/// An arrow at the edge of the axes that points outwards; downwards if `sign` is 1.
 fn arrow(canvas: &Canvas, (x, y): Point, (sign, look): (f64, Look)) -> Drawn {
     let up = |pixels: f64| y - sign * pixels * UNIT;
     line(canvas, &[(x, up(5.0)), (x, up(13.0))], look.colour.stroke_width(160))?;
@@ -667,7 +668,7 @@ fn inside(a: Point, b: Point, (low, high): Point) -> Option<(Point, Point)> {
 
 // ---- The legend.
 
-/// What an entry of the legend shows beside its words.
+/// The sample in an entry of the legend.
 enum Sample {
     Line { look: Look, banded: bool, joined: bool },
     Shade,
@@ -746,7 +747,7 @@ impl Entry {
 
 // ---- Lines and letters.
 
-/// Pixels as whole drawing units.
+/// Converts pixels to whole drawing units.
 fn units(pixels: f64) -> i32 {
     (pixels * UNIT).round() as i32
 }
@@ -760,7 +761,7 @@ fn line(canvas: &Canvas, points: &[Point], style: ShapeStyle) -> Drawn {
     canvas.draw(&PathElement::new(points, style))
 }
 
-/// Letters of a size in pixels; plotters writes 1/1.24 of what it is asked for.
+/// Text of a size in pixels; plotters writes 1/1.24 of the requested size.
 fn lettering<'a>(size: f64, colour: RGBColor) -> TextStyle<'a> {
     let font = FontDesc::new(FontFamily::Name(FONT), 1.24 * size * UNIT, FontStyle::Normal);
     font.color(&colour).pos(Pos::new(HPos::Left, VPos::Center))
@@ -770,13 +771,13 @@ fn write(canvas: &Canvas, text: &str, (x, y): Point, style: TextStyle) -> Drawn 
     canvas.draw(&Text::new(clean(text), rounded((x * UNIT, y * UNIT)), style))
 }
 
-/// The text without what XML cannot hold.
+/// The text without characters that XML cannot hold.
 fn clean(text: &str) -> String {
     let legal = |letter: char| !letter.is_control() && !('\u{fffe}'..='\u{ffff}').contains(&letter);
     text.chars().map(|letter| if legal(letter) { letter } else { ' ' }).collect()
 }
 
-/// The text, cut to so many letters.
+/// The text, cut to `most` characters.
 fn shortened(text: &str, letters: usize) -> String {
     let text = clean(text);
     if text.chars().count() <= letters {
@@ -786,7 +787,7 @@ fn shortened(text: &str, letters: usize) -> String {
     format!("{}…", kept.trim_end())
 }
 
-/// The text in lines of so many letters, at most so many lines, broken between words where it can be.
+/// The text in lines of limited length and number, broken between words where possible.
 fn wrapped(text: &str, letters: usize, lines: usize) -> Vec<String> {
     let mut broken: Vec<String> = Vec::new();
     let text = clean(text);
@@ -811,7 +812,7 @@ mod tests {
     use super::super::tests::{curve, figure, sample};
     use super::*;
 
-    /// Every coordinate is a number and lies in the picture; the text is XML.
+    /// Asserts that every coordinate is a number inside the picture and that the text is XML.
     fn inspect(figure: &Figure) -> String {
         let text = figure.svg().unwrap();
         let document = roxmltree::Document::parse(&text).unwrap();

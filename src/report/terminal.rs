@@ -2,7 +2,7 @@
 
 use super::{Cell, Table, printed};
 
-/// Significant digits.
+/// Number of significant digits.
 const DIGITS: usize = 3;
 
 impl Table {

@@ -1,4 +1,4 @@
-//! Where an evaluation is written to: JSON, page, figures, recording.
+//! Writes the results of an evaluation: JSON, page, figures, recording.
 
 use super::{frame, run_info};
 use crate::error::Result;
@@ -9,25 +9,25 @@ use crate::recording::{self, Recorder, Values};
 use crate::report::Report;
 use std::path::{Path, PathBuf};
 
-/// The files of an evaluation, and what stands in them.
+/// The files of an evaluation, and its report.
 #[derive(Clone, Debug)]
 pub struct EvaluationFiles {
     /// The report.
     pub report: Report,
-    /// Where it is as JSON.
+    /// Path of the JSON file.
     pub json: PathBuf,
-    /// Where it is to be read.
+    /// Path of the HTML page.
     pub html: PathBuf,
-    /// Where the flows are.
+    /// Path of the recording.
     pub recording: Option<PathBuf>,
 }
 
-/// Writes `evaluation.json`, `evaluation.html`, one SVG per figure and, where asked for,
+/// Writes `evaluation.json`, `evaluation.html`, one SVG per figure and, if requested,
 /// `evaluation.mcap` into a folder.
 ///
 /// # Errors
-/// [`crate::Error::File`] where something cannot be written, [`crate::Error::Interrupted`] where the evaluation is
-/// not whole because a signal asked to stop.
+/// [`crate::Error::File`] where a file cannot be written, [`crate::Error::Interrupted`] where a
+/// signal has stopped the evaluation before its end.
 pub fn write_evaluation<const D: usize>(
     evaluation: &Evaluation<D>,
     facts: Vec<(String, String)>,
@@ -48,7 +48,7 @@ pub fn write_evaluation<const D: usize>(
     Ok(EvaluationFiles { report, json, html, recording })
 }
 
-/// Writes a file, and the folders it lies in, in one piece: a reader never meets half of it.
+/// Writes a whole file, and creates its folders. A reader never sees a part of it.
 ///
 /// # Errors
 /// As [`Output::write`].
@@ -56,8 +56,8 @@ pub fn write(path: &Path, text: &str) -> Result<()> {
     Output::write(path, text.as_bytes())
 }
 
-/// Records the first realisation: the truth and every learned flow on one clock, their errors by step,
-/// and the report as an attachment.
+/// Records the first realisation: the truth and every learned flow on one time axis, their errors
+/// by step, and the report as an attachment.
 fn record_flows<const D: usize>(
     evaluation: &Evaluation<D>,
     report: &Report,
@@ -88,7 +88,7 @@ fn record_flows<const D: usize>(
 /// One of the three errors, by step.
 type Kind = fn(&Errors) -> &[f64];
 
-/// Records the errors of the first realisation, with the floor among them, on the flows' clock.
+/// Records the errors of the first realisation and the floor, on the time axis of the flows.
 fn record_errors<const D: usize>(
     evaluation: &Evaluation<D>,
     recorder: &mut Recorder,

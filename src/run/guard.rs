@@ -1,28 +1,28 @@
-//! What a command may write over: nothing that it reads, and nothing that another command wrote.
+//! Protects files from being overwritten: inputs of a command, and files of other commands.
 
 use crate::error::{Error, Result};
 use crate::output::{Output, must_differ, readable, same_file};
 use crate::recording::Recording;
 use std::path::Path;
 
-/// A command's files: what it reads, and what of the files that are there it may replace.
+/// A command's files: its inputs, and the existing files that it may replace.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Guard<'a> {
-    /// The command, whose earlier recordings may be replaced.
+    /// The command; its own earlier recordings may be replaced.
     pub command: &'a str,
-    /// What it reads; never replaced.
+    /// The inputs; never replaced.
     pub inputs: &'a [&'a Path],
-    /// What goes into the new recording as a whole, such as a search that is resumed; replaced only where
-    /// `overwrite` says so.
+    /// Inputs that become part of the new recording, such as a search that is resumed; replaced
+    /// only with `overwrite`.
     pub continued: Option<&'a Path>,
-    /// The option that was given, `--overwrite`: any file may be replaced that is no input. `None` where the
-    /// command has no such option.
+    /// The option `--overwrite`: whether any file except the inputs may be replaced. `None` where
+    /// the command has no such option.
     pub overwrite: Option<bool>,
 }
 
 impl Guard<'_> {
-    /// Checks a recording's name before any work, and reserves it: no other run may write the file, and what an
-    /// earlier one left unfinished is kept.
+    /// Checks a recording's name before any work, and reserves it: no other run may write the file,
+    /// and an unfinished file of an earlier run is kept.
     ///
     /// # Errors
     /// As [`check`](Self::check) and [`Output::beside`].
@@ -31,12 +31,12 @@ impl Guard<'_> {
         Output::beside(path)
     }
 
-    /// Checks names in a folder before any work, and reserves the folder: what comes back is to be held until the
-    /// files are written.
+    /// Checks names in a folder before any work, and reserves the folder; the caller must hold the
+    /// result until the files are written.
     ///
     /// # Errors
-    /// As [`check`](Self::check) for those that are recordings; [`Error::Input`] if one is an input or another run
-    /// writes into the folder, [`Error::File`] if it cannot be written to.
+    /// As [`check`](Self::check) for recordings; [`Error::Input`] if one is an input or another run
+    /// writes into the folder, [`Error::File`] if the folder cannot be written to.
     pub fn reserve_folder(&self, folder: &Path, names: &[&str]) -> Result<Output> {
         for name in names {
             let path = folder.join(name);
@@ -55,8 +55,8 @@ impl Guard<'_> {
     /// Whether a recording may be written under a name.
     ///
     /// # Errors
-    /// [`Error::Input`] if it is an input, or something other than an earlier recording of the same command and
-    /// `overwrite` is not given.
+    /// [`Error::Input`] if it is an input, or if it is not an earlier recording of the same command
+    /// and `overwrite` is not given.
     pub fn check(&self, path: &Path) -> Result<()> {
         must_differ(path, self.inputs)?;
         let may_overwrite = self.overwrite == Some(true);
@@ -75,7 +75,7 @@ impl Guard<'_> {
             _ => {}
         }
         let Ok(there) = std::fs::metadata(path) else { return Ok(()) };
-        // An empty file holds nothing; a folder is refused by the system.
+        // An empty file holds nothing; the operating system refuses a folder.
         if may_overwrite || !there.is_file() || there.len() == 0 {
             return Ok(());
         }
@@ -100,7 +100,7 @@ impl Guard<'_> {
     }
 }
 
-/// The command that wrote a recording; none where the file is no recording of a command.
+/// The command that wrote a recording; none where the file is not a recording of a command.
 pub fn command_of(path: &Path) -> Option<String> {
     let recording = Recording::open(path).ok()?;
     recording.run().metadata.get("command").cloned()

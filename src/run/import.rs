@@ -1,4 +1,4 @@
-//! Recordings from what other programs computed or measured: arrays, and point clouds.
+//! Makes recordings from the data of other programs: arrays, and point clouds.
 
 use super::door::{Findings, Kernel, check_itself, misses, sum_where_missing, truth_of};
 use crate::arrays::Array;
@@ -14,7 +14,7 @@ use crate::vector::Vector;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// What is to be made a recording of.
+/// The source of an import.
 #[derive(Clone, Debug)]
 pub enum Origins {
     /// Arrays `[frames, particles, 2 or 3]`, and `[frames, particles]` of densities.
@@ -23,14 +23,14 @@ pub enum Origins {
         positions: PathBuf,
         /// Velocities.
         velocities: PathBuf,
-        /// Densities, where they are known.
+        /// Densities, if they are known.
         densities: Option<PathBuf>,
     },
     /// Point clouds in an MCAP file of another program.
     Clouds {
         /// The file.
         file: PathBuf,
-        /// The topic; the only one with point clouds where it is not named.
+        /// The topic; without one, the only topic with point clouds.
         topic: Option<String>,
     },
 }
@@ -38,23 +38,23 @@ pub enum Origins {
 /// An import.
 #[derive(Clone, Debug)]
 pub struct Import {
-    /// What from.
+    /// The source.
     pub from: Origins,
-    /// Time between frames; that of the timestamps of point clouds where it is not given.
+    /// Time between frames; by default that of the timestamps of point clouds.
     pub dt: Option<f64>,
     /// Side of the periodic box.
     pub box_length: f64,
-    /// Smoothing length of the flow: densities that are not given are summed with it.
+    /// Smoothing length of the flow, with which missing densities are summed.
     pub smoothing_length: Option<f64>,
     /// Kernel of the flow.
     pub kernel: KernelChoice,
-    /// Whether what contradicts itself is taken all the same.
+    /// Whether inconsistent data are imported with a warning.
     pub force: bool,
     /// The recording to write.
     pub out: Output,
 }
 
-/// What was imported.
+/// The result of an import.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Imported {
     /// Number of frames.
@@ -65,22 +65,23 @@ pub struct Imported {
     pub dimension: usize,
     /// Time between frames.
     pub dt: f64,
-    /// Where densities are from: `given`, `summed` in the kernel, or `none`.
+    /// Source of the densities: `given`, `summed` with the kernel, or `none`.
     pub densities: &'static str,
-    /// Median distance between where particles go and where their velocities lead, as a share of the latter.
+    /// Median distance between the actual displacements of particles and those from their
+    /// velocities, as a share of the latter.
     pub miss: f64,
-    /// What does not fit, and was taken all the same.
+    /// Inconsistencies that were accepted.
     pub warnings: Vec<String>,
     /// The recording.
     pub recording: PathBuf,
 }
 
 impl Import {
-    /// Reads everything, holds it against itself, and writes the recording.
+    /// Reads the data, checks their consistency, and writes the recording.
     ///
     /// # Errors
-    /// [`Error::Input`] for options that are impossible and for data that are no flow, [`Error::File`] for files that
-    /// cannot be read or written.
+    /// [`Error::Input`] for impossible options and for inconsistent data, [`Error::File`] for files
+    /// that cannot be read or written.
     pub fn run(&self) -> Result<Imported> {
         self.check_options()?;
         match &self.from {
@@ -147,7 +148,7 @@ impl Import {
         self.write(truth, findings)
     }
 
-    /// The median miss of particles as a share of their way.
+    /// The median deviation of particles from their displacement by velocities, as a share of it.
     fn share<const D: usize>(&self, truth: &Truth<D>) -> f64 {
         let found = misses(truth, PeriodicBox { length: self.box_length });
         if found.miss > 0.0 { found.miss / found.way } else { 0.0 }
@@ -197,7 +198,7 @@ impl Import {
         let mut recorder =
             Recorder::begin(self.out.clone(), &self.run_info(&truth, dt, densities))?;
         for (k, (state, densities)) in truth.states.iter().zip(&truth.densities).enumerate() {
-            // A part of the frames would be no truth to learn from.
+            // A truth to learn from must have all frames.
             interrupt::check().inspect_err(|_| self.out.discard())?;
             let inside = |r: &Vector<f64, D>| space.wrap(*r).0;
             recorder.frame(
@@ -224,7 +225,7 @@ impl Import {
         })
     }
 
-    /// Sums densities that are not given, if `h` is known, and holds those that are against that.
+    /// Sums missing densities if `h` is known, and compares given densities with the sum.
     fn densities<const D: usize>(
         &self,
         truth: &mut Truth<D>,
@@ -274,7 +275,7 @@ impl Import {
     }
 }
 
-/// The time between frames by their timestamps, which are whole nanoseconds.
+/// The time between frames from their timestamps, which are whole nanoseconds.
 fn interval(times: &[i128], findings: &Findings) -> Result<f64> {
     let (first, last) = (times.first().copied().unwrap_or(0), times.last().copied().unwrap_or(0));
     let apart = (last - first) as f64 / times.len().saturating_sub(1).max(1) as f64;
@@ -330,7 +331,8 @@ impl Arrays {
         Ok(Self { place, positions: r, velocities: v, densities })
     }
 
-    /// The flow, by axes [frames, particles, dimension] or, where `swapped`, by [particles, frames, dimension].
+    /// The flow, from axes [frames, particles, dimension] or, if `swapped`, [particles, frames,
+    /// dimension].
     fn truth<const D: usize>(&self, dt: f64, swapped: bool) -> Truth<D> {
         let [frames, particles] = match swapped {
             false => [0, 1].map(|axis| self.positions.shape[axis]),

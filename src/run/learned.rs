@@ -1,4 +1,4 @@
-//! What a training comes to.
+//! The result of a training.
 
 use crate::learn::Knowledge;
 use crate::scene::Chosen;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// What a training comes to.
+/// The result of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingReport {
     /// Name of the scene.
@@ -15,16 +15,16 @@ pub struct TrainingReport {
     pub model: String,
     /// Number of particles.
     pub particles: usize,
-    /// Steps to the last that is observed.
+    /// Number of steps to the last observed one.
     pub steps: usize,
-    /// The step that was chosen for the accuracy asked for.
+    /// The step chosen for a requested accuracy.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen: Option<Chosen>,
-    /// How the gradient was found.
+    /// The mode of differentiation.
     pub gradient: String,
-    /// Iterations of the search, those of an earlier recording that it went on from included.
+    /// Iterations of the search, including those of an earlier recording that was resumed.
     pub iterations: usize,
-    /// How many of them the earlier recording had; none where the search began anew.
+    /// Number of iterations of that recording; none for a new search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations_before: Option<usize>,
     /// Loss of the guess; infinite, and `null` in JSON, where its flow diverges.
@@ -34,12 +34,12 @@ pub struct TrainingReport {
     pub loss_final: f64,
     /// Learned parameters by name.
     pub parameters: BTreeMap<String, f64>,
-    /// True ones, where they are known.
+    /// True parameters, where they are known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<BTreeMap<String, f64>>,
     /// Wall-clock time.
     pub seconds: Seconds,
-    /// Where everything was recorded.
+    /// Path of the recording.
     pub recording: PathBuf,
     /// Parts of the final loss.
     pub losses: Losses,
@@ -49,7 +49,7 @@ pub struct TrainingReport {
     /// The statistical loss between realisations of the truth.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub kl_floor: Option<f64>,
-    /// Largest difference of a learned pressure from the true one, over the densities seen.
+    /// Largest difference between learned and true pressure, over the densities that occurred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pressure_error: Option<f64>,
 }

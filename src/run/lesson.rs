@@ -1,4 +1,4 @@
-//! What a training learns from: a flow made on the spot, or recorded particles.
+//! The data of a training: a flow that is run for it, or recorded particles.
 
 use super::Origin;
 use super::door::{Given, admit, admit_given};
@@ -10,25 +10,25 @@ use crate::trade::{Choice, settle};
 use crate::truth::Truth;
 use std::time::Instant;
 
-/// What is learned from: the truth, and its parameters where they are known.
+/// The data of a training: the truth, and its parameters where they are known.
 #[derive(Clone, Debug)]
 pub struct Lesson<const D: usize> {
-    /// What the scene asks for.
+    /// The training settings of the scene.
     pub learn: Learn,
     /// The true states.
     pub truth: Truth<D>,
-    /// The true values of the learned physical parameters, where the truth was made on the spot.
+    /// The true values of the learned physical parameters, if the truth was run from the scene.
     pub known: Option<Vec<f64>>,
-    /// How long it took to make or to read it.
+    /// Seconds to run or to read the truth.
     pub seconds: f64,
-    /// The recording that it was read from, if it was.
+    /// The recording that it was read from, if any.
     pub origin: Option<Origin>,
-    /// What does not fit in that recording, and was taken all the same.
+    /// Inconsistencies of that recording that were accepted.
     pub warnings: Vec<String>,
 }
 
 impl<const D: usize> Lesson<D> {
-    /// From the true particles of a recording, or by the scene's own law.
+    /// From a recording, or from the scene's own law.
     ///
     /// # Errors
     /// As [`admit`] and [`Truth::generate`].
@@ -55,7 +55,8 @@ impl<const D: usize> Lesson<D> {
     }
 }
 
-/// Which frame of a recording the scene learns from first: it has one for every `learn.every` steps.
+/// The first frame of a recording that the scene learns from: the recording has one for every
+/// `learn.every` steps.
 fn first_frame(learn: &Learn) -> Result<usize> {
     if learn.after.is_multiple_of(learn.every) {
         return Ok((learn.after / learn.every) as usize);
@@ -68,9 +69,10 @@ fn first_frame(learn: &Learn) -> Result<usize> {
     ))
 }
 
-/// A training's scene with the step chosen for the accuracy that it asks for, before there is a truth:
-/// from the state from which the truth is run or, where `recorded` fixes its times, from the first state
-/// that is learned from. Truth and learned flow take the same step, and what is observed stays the same.
+/// The scene of a training with the step chosen for its requested accuracy, before there is a
+/// truth. The choice starts from the initial state of the truth or, where `recorded` fixes its
+/// times, from the first state that is learned from. Truth and learned flow have the same step, and
+/// the observed times do not change.
 ///
 /// # Errors
 /// As [`settle`], [`Flow::new`] and [`admit`].

@@ -1,8 +1,8 @@
-//! Whether a run fits into memory, before it takes any.
+//! Checks before a run whether it fits into memory.
 //!
-//! The estimate is the one of `--explain`: bytes per particle, measured on a small flow with as many neighbours and
-//! the same options, times the particles of the scene. It errs to the small side where it is uncertain, because a run
-//! that is refused cannot be had at all.
+//! The estimate is that of `--explain`: bytes per particle, measured on a small flow with the same
+//! number of neighbours and the same options, times the number of particles. Where it is uncertain
+//! it is too small rather than too large, because a refused run cannot be done at all.
 
 use super::{Lesson, Requirements};
 use crate::error::{Error, Result};
@@ -12,23 +12,25 @@ use crate::scene::{Learn, Scene};
 use crate::sensitivity::{Gradient, Storage};
 use crate::truth::Truth;
 
-/// Particles of the small flow in each dimension.
+/// Particles per side of the small flow, for two and three dimensions.
 const FEW: [usize; 2] = [24, 8];
 
-/// Most particles a side of the small flow where a long reach asks for more.
+/// Particles per side of the small flow, maximum, if a large support needs more, for two and three
+/// dimensions.
 const MOST: [usize; 2] = [96, 20];
 
-/// What there is for a process to take, in bytes, and what sets the bound.
+/// Memory available to a process in bytes, and what limits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Room {
-    /// Bytes that can still be taken.
+    /// Bytes available.
     pub bytes: f64,
-    /// What sets the bound.
+    /// What limits them.
     pub bound: &'static str,
 }
 
 impl Room {
-    /// The least that memory, address space and control group leave; `None` where the system tells none of them.
+    /// The minimum of free memory, address space and control group; `None` where the operating
+    /// system tells none of them.
     pub fn now() -> Option<Self> {
         let all = [
             (free_memory(), "of memory"),
@@ -41,18 +43,18 @@ impl Room {
     }
 }
 
-/// Refuses a simulation for which there is no room.
+/// Refuses a simulation that does not fit into memory.
 ///
 /// # Errors
-/// [`Error::Input`] where the estimate is more than there is.
+/// [`Error::Input`] where the estimate exceeds the available memory.
 pub fn simulation_must_fit<const D: usize>(scene: &Scene) -> Result<()> {
     must_fit(simulation_bytes::<D>(scene), scene, "take fewer fluid.particles_per_side")
 }
 
-/// Refuses a training for which there is no room.
+/// Refuses a training that does not fit into memory.
 ///
 /// # Errors
-/// [`Error::Input`] where the estimate is more than there is.
+/// [`Error::Input`] where the estimate exceeds the available memory.
 pub fn training_must_fit<const D: usize>(scene: &Scene) -> Result<()> {
     let remedy = "take fewer fluid.particles_per_side, learn.frames or learn.mesh, or keep less of the way to an \
                   adjoint with learn.storage = { checkpoints = 8 }";
@@ -74,20 +76,20 @@ fn must_fit(bytes: f64, scene: &Scene, remedy: &str) -> Result<()> {
     ))
 }
 
-/// Bytes that a simulation of a scene takes.
+/// Bytes that a simulation of a scene needs.
 pub fn simulation_bytes<const D: usize>(scene: &Scene) -> f64 {
     let twin = Twin::of(scene);
     let state = State::<D>::initial(&twin.scene);
     let Ok(mut flow) = Flow::from_state(&twin.scene, &state) else { return 0.0 };
-    // One that fails at once has its arrays all the same.
+    // A flow that fails at once has its arrays nevertheless.
     drop(flow.start());
     let found = Requirements::of_flow(&twin.scene, &mut flow, scene.record.every > 0);
     let state = (16 * D) as f64;
     scene.particles() as f64 * (twin.held(&found.held) + state)
 }
 
-/// Bytes that a training of a scene takes: truth, observations, search and warm-up. Nothing is known, and zero comes
-/// back, where the scene's own law does not hold for one frame.
+/// Bytes that a training of a scene needs: truth, observations, search and warm-up. Zero where the
+/// scene's own law does not hold for one frame, because then nothing is known.
 pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
     let Some(learn) = &scene.learn else { return 0.0 };
     let (particles, twin) = (scene.particles() as f64, Twin::of(scene));
@@ -97,7 +99,7 @@ pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
     let mut observed = particles * (2.0 * frames + 1.0) * vector;
     if learn.loss.field > 0.0 || worlds > 1.0 {
         let per_axis = learn.mesh.unwrap_or(scene.fluid.particles_per_side) as f64;
-        // Those of the truth, and the predicted one.
+        // The fields of the truth, and the predicted one.
         observed += (frames + 1.0) * per_axis.powi(D as i32) * vector;
     }
     bytes += worlds * observed;
@@ -110,7 +112,7 @@ pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
     }
 }
 
-/// Whether a search finds its gradient by the adjoint.
+/// Whether a search uses the adjoint.
 fn uses_tape(scene: &Scene) -> bool {
     let Some(learn) = &scene.learn else { return false };
     let second_order =
@@ -119,12 +121,12 @@ fn uses_tape(scene: &Scene) -> bool {
     learn.gradient.choose(forward) == Gradient::Adjoint
 }
 
-/// A small scene whose particles have as many neighbours as those of a large one.
+/// A small scene in which particles have the same number of neighbours as in the large one.
 struct Twin {
     scene: Scene,
-    /// How often each neighbour of the small flow stands for one of the large.
+    /// Number of neighbours in the large flow for each one in the small flow.
     crowd: f64,
-    /// Frames that the large scene observes.
+    /// Number of frames that the large scene observes.
     frames: usize,
 }
 
@@ -135,7 +137,7 @@ impl Twin {
         let (few, most) = (FEW[axes - 2], MOST[axes - 2]);
         let side = scene.fluid.particles_per_side;
         let spacings = scene.fluid.smoothing_length * side as f64 / scene.fluid.box_length;
-        // A support of less than half the box.
+        // The support must be less than half the box.
         let wanted = ((4.4 * spacings).ceil() as usize).max(few);
         let fluid = &mut twin.fluid;
         fluid.particles_per_side = wanted.min(most).min(side);
@@ -151,7 +153,7 @@ impl Twin {
         Self { scene: twin, crowd, frames }
     }
 
-    /// Bytes per particle of what is held, but for what [`training_bytes`] counts by itself.
+    /// Bytes per particle of columns, without those that [`training_bytes`] counts separately.
     fn held(&self, columns: &[Held]) -> f64 {
         let all = columns.iter().map(|column| match column.part {
             "truth" | "observations" => 0.0,
@@ -162,7 +164,7 @@ impl Twin {
         all.sum()
     }
 
-    /// What a search of the small scene holds, with the steps of the large one on its tape.
+    /// Columns of a search of the small scene, with the steps of the large one on its tape.
     fn of_training<const D: usize>(&self) -> Result<Vec<Requirements>> {
         let Self { scene, .. } = self;
         let truth = Truth::<D>::from_state(scene, &State::initial(scene), 1)?;
@@ -172,7 +174,7 @@ impl Twin {
         for (value, parameter) in guess.iter_mut().zip(learner.columns()) {
             *value = own.get(parameter).unwrap_or(*value);
         }
-        // The tape has the steps of the scene, not those of its twin.
+        // The tape has the steps of the large scene.
         let learn = Learn { frames: self.frames, ..scene.learning()?.clone() };
         let lesson =
             Lesson { learn, truth, known: None, seconds: 0.0, origin: None, warnings: Vec::new() };
@@ -180,7 +182,7 @@ impl Twin {
     }
 }
 
-/// Bytes as a number to be read.
+/// A number of bytes in words.
 fn in_words(bytes: f64) -> String {
     match bytes {
         b if b >= 1e9 => format!("{:.1} GB", 1e-9 * b),
@@ -188,7 +190,7 @@ fn in_words(bytes: f64) -> String {
     }
 }
 
-/// The number after a key, in a file of the system.
+/// The number after a key, in a file of the operating system.
 fn number_in(file: &str, key: &str) -> Option<f64> {
     let text = std::fs::read_to_string(file).ok()?;
     let line = text.lines().find(|line| line.starts_with(key))?;
@@ -199,14 +201,14 @@ fn free_memory() -> Option<f64> {
     number_in("/proc/meminfo", "MemAvailable:").map(|kilobytes| 1024.0 * kilobytes)
 }
 
-/// What the limit of the address space leaves.
+/// What remains of the limit on the address space.
 fn address_space() -> Option<f64> {
     let limit = number_in("/proc/self/limits", "Max address space")?;
     let taken = number_in("/proc/self/status", "VmSize:")?;
     Some((limit - 1024.0 * taken).max(0.0))
 }
 
-/// What the closest limit of a control group leaves, of version 2 or 1.
+/// What remains of the tightest limit of a control group, version 2 or 1.
 fn control_group() -> Option<f64> {
     let groups = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     let rooms = groups.lines().filter_map(|line| {
@@ -227,7 +229,7 @@ fn control_group() -> Option<f64> {
     rooms.min_by(f64::total_cmp)
 }
 
-/// Bytes of files that a control group keeps in memory only while nothing else asks for it.
+/// Bytes of file cache in a control group, which are freed on demand.
 fn reclaimable(folder: &std::path::Path) -> f64 {
     let stat = folder.join("memory.stat");
     let files = |key: &str| number_in(stat.to_str()?, key);
@@ -257,7 +259,7 @@ mod tests {
         Ok(())
     }
 
-    /// What `--explain` finds on the scene itself.
+    /// The result of `--explain` on the scene itself.
     #[test]
     fn the_estimate_is_what_the_flow_holds_to_a_third() -> Result<()> {
         let sized = ["fluid.particles_per_side=24", "fluid.smoothing_length=0.2233"];

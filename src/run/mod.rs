@@ -1,4 +1,4 @@
-//! What a command does between its arguments and its report: flows recorded as they run.
+//! The work of a command between its arguments and its report: flows recorded as they run.
 
 pub mod door;
 mod evaluated;
@@ -36,7 +36,7 @@ use crate::truth::Truth;
 use crate::vector::Vector;
 use std::collections::BTreeMap;
 
-/// What a recording says about the run that writes it.
+/// Metadata of a run in its recording.
 pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
     let learned = scene.learn.iter().flat_map(|learn| &learn.parameters);
     let speed_scale = match scene.record.speed_scale {
@@ -70,7 +70,8 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
     }
 }
 
-/// Begins a recording: what is known of the run and, in its log, which step was chosen for it.
+/// Begins a recording: the metadata of the run and, in its log, the step chosen for a requested
+/// accuracy.
 ///
 /// # Errors
 /// As [`Recorder::begin`].
@@ -97,7 +98,7 @@ pub fn frame<const D: usize>(step: u64, state: &State<D>, densities: &[f64]) -> 
     )
 }
 
-/// Records a flow as it stands: its particles on one topic, and what it keeps.
+/// Records the current state of a flow: its particles on one topic, and conserved quantities.
 fn record_now<const D: usize>(
     recorder: &mut Recorder,
     topic: recording::Flow,
@@ -114,9 +115,9 @@ fn record_now<const D: usize>(
     recorder.conservation(statistics::conservation_of(flow, &rows, by_system))
 }
 
-/// Runs a flow for `steps`, records the states that `record` keeps on one topic, and calls `after`
-/// behind each step, on a thread of the pool. A flow that diverges leaves its last state and the reason in
-/// the recording.
+/// Runs a flow for `steps`, records the states that `record` selects on one topic, and calls
+/// `after` after each step, on a thread of the pool. For a flow that diverges, the recording ends
+/// with its last state and the reason.
 ///
 /// # Errors
 /// [`Error::Diverged`] and [`Error::Interrupted`] from the flow, [`Error::File`] from the recorder.
@@ -133,8 +134,8 @@ pub fn run_recorded<const D: usize>(
         }
         _ => Ok(()),
     };
-    // All of it on a thread of the pool: a hand-over between two steps would wait for the core that the
-    // recorder's thread is on.
+    // Everything runs on a thread of the pool: a hand-over between two steps would wait for the
+    // core on which the recorder's thread runs.
     let outcome = in_pool(|| -> Result<Result<()>> {
         let mut outcome = flow.start();
         if outcome.is_ok() {
@@ -156,7 +157,7 @@ pub fn run_recorded<const D: usize>(
     outcome
 }
 
-/// A failure as a line of the log.
+/// A failure as a line in the log.
 fn what_stopped(error: &Error) -> String {
     match error {
         Error::Interrupted { .. } => {
@@ -166,8 +167,8 @@ fn what_stopped(error: &Error) -> String {
     }
 }
 
-/// The true states in a recording, to learn from, where they fit themselves and the scene; [`admit`] also says what
-/// does not fit well.
+/// The true states in a recording, if they are consistent with themselves and with the scene;
+/// [`admit`] also returns its warnings.
 ///
 /// # Errors
 /// As [`admit`].

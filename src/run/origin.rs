@@ -1,4 +1,4 @@
-//! Where a truth came from: a file, known again by its bytes.
+//! The origin of a truth: a file, identified by its bytes.
 
 use crate::error::{Error, Result};
 use crate::recording::Recording;
@@ -9,17 +9,17 @@ use std::path::{Path, PathBuf};
 const FILE: &str = "truth_file";
 const DIGEST: &str = "truth_digest";
 
-/// A file of recorded particles that was learned from.
+/// A file of recorded particles from which a model was learned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origin {
-    /// Where it was, as an absolute path.
+    /// Its absolute path.
     pub path: PathBuf,
-    /// Its bytes as one number: FNV-1a of 64 bits in hexadecimal, against mistakes and not against forgery.
+    /// Hash of its bytes: FNV-1a of 64 bits in hexadecimal, which detects mistakes, not forgery.
     pub digest: String,
 }
 
 impl Origin {
-    /// That of a file as it is now.
+    /// The origin of a file as it is now.
     ///
     /// # Errors
     /// [`Error::File`] where it cannot be read.
@@ -39,24 +39,24 @@ impl Origin {
         Ok(Self { path, digest: format!("fnv1a-{sum:016x}") })
     }
 
-    /// That of the truth which a training learned from, as its recording has it; none where the truth was made from
-    /// the scene.
+    /// The origin of the truth in a training's recording; none where the truth was run from the
+    /// scene.
     pub fn recorded(recording: &Recording) -> Option<Self> {
         let metadata = &recording.run().metadata;
         let (path, digest) = (metadata.get(FILE)?.into(), metadata.get(DIGEST)?.clone());
         Some(Self { path, digest })
     }
 
-    /// Its entries in the metadata of a recording.
+    /// The origin as entries of a recording's metadata.
     pub(super) fn metadata(&self) -> [(String, String); 2] {
         let path = self.path.display().to_string();
         [(FILE.to_owned(), path), (DIGEST.to_owned(), self.digest.clone())]
     }
 
-    /// Refuses a file that is gone or has been changed; `place` is the recording that names it.
+    /// Refuses a file that is missing or has changed; `place` is the recording that names it.
     ///
     /// # Errors
-    /// [`Error::Input`], with what to pass instead.
+    /// [`Error::Input`], with the remedy.
     pub fn must_be_there(&self, place: &Path) -> Result<()> {
         let path = self.path.display();
         let expected =
@@ -74,10 +74,10 @@ impl Origin {
     }
 }
 
-/// Refuses a recording that has no scene, such as an imported one, where a learned model is wanted.
+/// Refuses a recording without a scene, such as an imported one, where a learned model is expected.
 ///
 /// # Errors
-/// [`Error::Input`], with what to do.
+/// [`Error::Input`], with the remedy.
 pub fn must_be_trained(path: &Path, recording: &Recording) -> Result<()> {
     if !recording.run().scene_toml.trim().is_empty() {
         return Ok(());

@@ -1,4 +1,4 @@
-//! Where prices are written to: JSON, page, figures, recording.
+//! Writes the results of a price list: JSON, page, figures, recording.
 
 use super::{frame, run_info, write};
 use crate::error::Result;
@@ -14,24 +14,25 @@ use std::path::{Path, PathBuf};
 /// The files of a price list.
 #[derive(Clone, Debug)]
 pub struct PriceFiles {
-    /// Where it is as JSON.
+    /// Path of the JSON file.
     pub json: PathBuf,
-    /// Where it is to be read.
+    /// Path of the HTML page.
     pub html: PathBuf,
-    /// Where the flows are.
+    /// Path of the recording.
     pub recording: PathBuf,
 }
 
 /// Writes `prices.json`, `prices.html`, one SVG per figure and `prices.mcap` into a folder.
 ///
-/// The recording holds the reference as the truth, and on its clock the flow of the scene as it is and the
-/// cheapest there are, every kind of step at the scene's time step and at twice that, with their distances
-/// from the reference; the log says which of them did not hold. It has no times of the day, and equal scenes
-/// give equal bytes.
+/// The recording holds the reference as the truth and, on the same time axis, the flow of the scene
+/// as it is and the cheapest flows, which are all kinds of step at the scene's time step and at
+/// twice that, with their distances from the reference. The log names those that diverged. It
+/// contains no wall-clock times, so that equal scenes give equal bytes.
 ///
 /// # Errors
-/// [`crate::Error::File`] where something cannot be written, [`crate::Error::Diverged`] where the reference
-/// does not hold, [`crate::Error::Interrupted`] where the prices are not whole because a signal asked to stop.
+/// [`crate::Error::File`] where a file cannot be written, [`crate::Error::Diverged`] where the
+/// reference diverges, [`crate::Error::Interrupted`] where a signal has stopped the measurements
+/// before their end.
 pub fn write_prices<const D: usize>(
     report: &Report,
     (scene, start, steps): (&Scene, &State<D>, u64),
@@ -49,11 +50,11 @@ pub fn write_prices<const D: usize>(
     Ok(PriceFiles { json, html, recording })
 }
 
-/// A flow that is held against the reference.
+/// A flow that is compared with the reference.
 struct Followed<const D: usize> {
     name: String,
     flow: Flow<D>,
-    /// How many steps of the scene one of its own is.
+    /// Steps of the scene per step of this flow.
     stride: u64,
 }
 
@@ -98,8 +99,8 @@ fn record_flows<const D: usize>(
     recorder.finish().map(drop)
 }
 
-/// Records the flows that meet a step of the reference, and how far they are from it. One that does not hold
-/// is left out from then on, and the log says why.
+/// Records the flows at the times of a step of the reference, and their distances from it. A flow
+/// that diverges is left out from then on, and the log says why.
 fn record_beside<const D: usize>(
     scene: &Scene,
     (step, truth): (u64, &State<D>),

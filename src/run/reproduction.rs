@@ -1,4 +1,5 @@
-//! The paper's evidence from nothing: truths, trainings, evaluations, resumable after a kill.
+//! Reproduces the paper's results from scratch: truths, trainings, evaluations; can be resumed
+//! after a kill.
 
 use super::{Lesson, Progress, Training, TrainingReport, write, write_evaluation};
 use crate::error::{Error, Result};
@@ -10,17 +11,17 @@ use crate::scene::{Forcing, Optimiser, Scene, SpinUp, Weights};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The six models, from no physics to all of it.
+/// The six models, from no physics to full physics.
 pub const MODELS: [&str; 6] = ["node", "nn-sum", "rot-inv", "grad-p", "eos-nn", "physics"];
 
-/// What the models are trained on.
+/// The data that models are trained on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Study {
-    /// The paper's transient, by the field loss: beside its generalisation errors.
+    /// The paper's transient, with the field loss: for its generalisation errors.
     Field,
-    /// The same by field and statistics of velocity increments: beside its final losses.
+    /// The same with the field loss and statistics of velocity increments: for its final losses.
     Statistics,
-    /// A developed flow, stirred at random from rest and then at constant power, by the field loss.
+    /// A developed flow with the field loss: random forcing from rest, then constant power.
     Developed,
 }
 
@@ -28,7 +29,7 @@ impl Study {
     /// All of them, in order.
     pub const ALL: [Self; 3] = [Self::Field, Self::Statistics, Self::Developed];
 
-    /// Its folder.
+    /// The name of its folder.
     pub fn name(self) -> &'static str {
         match self {
             Self::Field => "field",
@@ -37,7 +38,7 @@ impl Study {
         }
     }
 
-    /// What it is, in a sentence.
+    /// Its description in a sentence.
     pub fn about(self) -> &'static str {
         match self {
             Self::Field => {
@@ -58,7 +59,7 @@ impl Study {
     /// The scene in which a model is trained.
     ///
     /// # Errors
-    /// [`Error::Input`] for a model that no shipped scene has.
+    /// [`Error::Input`] for a model without a shipped scene.
     pub fn scene(self, model: &str, quick: bool) -> Result<Scene> {
         let mut scene = Scene::shipped(&format!("{model}-3d"))?;
         scene.name = format!("{}-{model}", self.name());
@@ -70,7 +71,7 @@ impl Study {
             let forcing = Forcing::Stochastic { interval: 0.2, strength: 1.0 };
             scene.spin_up = Some(SpinUp { steps, forcing });
             scene.initial.velocity = 0.0;
-            // Colours as bright as those of the transient.
+            // The same colour scale as in the transient.
             scene.record.speed_scale = 2.0;
             Some(after)
         } else {
@@ -81,7 +82,7 @@ impl Study {
             if self != Self::Statistics {
                 learn.loss = Weights::default();
                 learn.warm_up = None;
-                // Second order, where its matrix is not too large.
+                // Second order, if its matrix is not too large.
                 if model != "node" {
                     (learn.optimiser, learn.iterations) = (Optimiser::default(), 60);
                 }
@@ -102,7 +103,7 @@ fn second_order(learn: &crate::scene::Learn) -> bool {
     matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. })
 }
 
-/// One piece of work, done or not.
+/// One stage, done or not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// A model is trained.
@@ -121,7 +122,7 @@ impl Stage {
         Study::ALL.into_iter().flat_map(of).collect()
     }
 
-    /// In words.
+    /// Its description.
     pub fn name(self) -> String {
         match self {
             Self::Train(study, model) => format!("{}: train {model}", study.name()),
@@ -130,30 +131,30 @@ impl Stage {
     }
 }
 
-/// What is reproduced, and where.
+/// The settings of a reproduction.
 #[derive(Clone, Debug)]
 pub struct Reproduction {
     /// The folder of everything.
     pub folder: PathBuf,
-    /// Whether a small flow and short searches will do.
+    /// Whether a small flow and short searches are enough.
     pub quick: bool,
-    /// Seed of truths and first weights.
+    /// Seed of truths and initial weights.
     pub seed: u64,
 }
 
-/// What has been said when a stage was done: what it was, and what came of it.
+/// The record of a stage that is done: its inputs and its result.
 #[derive(Debug, Serialize, Deserialize)]
 struct Done<T> {
-    /// Whatever would change the result.
+    /// Everything that would change the result.
     of: String,
     result: T,
 }
 
-/// What came of a training.
+/// The result of a training.
 #[derive(Debug, Serialize, Deserialize)]
 enum Trained {
     Learned(Box<TrainingReport>),
-    /// It ended without a model, and why.
+    /// It ended without a model, for this reason.
     Failed(String),
 }
 
@@ -170,7 +171,7 @@ impl Reproduction {
         self.folder.join(study.name()).join(name)
     }
 
-    /// Units of work of a stage, for an estimate of the time left: milliseconds on two cores.
+    /// Work of a stage, for an estimate of the time left, in milliseconds on two cores.
     ///
     /// # Errors
     /// As [`Study::scene`].
@@ -214,18 +215,18 @@ impl Reproduction {
         Ok(remembered(&self.file(study, "evaluation.done.json"), &self.evaluation_of(study)?))
     }
 
-    /// What an evaluation depends on.
+    /// The inputs of an evaluation.
     fn evaluation_of(&self, study: Study) -> Result<String> {
         let scenes = MODELS.iter().map(|model| Ok(self.scene(study, model)?.to_toml()));
         let scenes = scenes.collect::<Result<Vec<_>>>()?;
         Ok(of_this_version(&format!("{:?}\n{}", self.plan(10), scenes.join("\n"))))
     }
 
-    /// Does a stage, and remembers that it is done; `tick` is called with the share of it that is done
-    /// and a word on how it goes.
+    /// Runs a stage, and records that it is done; `tick` is called with the share that is done and
+    /// a description of the progress.
     ///
     /// # Errors
-    /// As [`Training::run`] and [`evaluate`]; a training that diverges is a result, and no error.
+    /// As [`Training::run`] and [`evaluate`]; a training that diverges is a result, not an error.
     pub fn run(&self, stage: Stage, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
         match stage {
             Stage::Train(study, model) => self.train(study, model, tick),
@@ -283,7 +284,7 @@ impl Reproduction {
         remember(&self.file(study, "evaluation.done.json"), Done { of, result: files.report })
     }
 
-    /// The models of a study that could not be learned, with why; none where all could.
+    /// The models of a study that could not be learned, with the reason; none where all could.
     fn failures(&self, study: Study) -> Result<Option<Table>> {
         let mut rows = Vec::new();
         for model in MODELS {
@@ -302,7 +303,7 @@ impl Reproduction {
         }))
     }
 
-    /// How to repeat it.
+    /// How to repeat the reproduction.
     fn facts(&self) -> Vec<(String, String)> {
         let quick = if self.quick { " -- --quick" } else { "" };
         let facts = [
@@ -359,12 +360,12 @@ impl Reproduction {
     }
 }
 
-/// What changes a result: its scenes, and the version that computed it.
+/// What changes a result: the scenes, and the version of the program.
 fn of_this_version(scenes: &str) -> String {
     format!("whirls {}\n{scenes}", env!("CARGO_PKG_VERSION"))
 }
 
-/// Milliseconds of one iteration on 4096 particles, roughly.
+/// Duration of one iteration with 4096 particles, in milliseconds, roughly.
 fn iteration_cost(model: &str, second_order: bool) -> f64 {
     match (second_order, model) {
         (false, _) => 300.0,
@@ -382,7 +383,7 @@ fn remember<T: Serialize>(file: &Path, done: Done<T>) -> Result<()> {
     write(file, &text)
 }
 
-/// What came of it, if it was done and of the same things.
+/// The result of a stage, if it was done with the same inputs.
 fn remembered<T: for<'a> Deserialize<'a>>(file: &Path, of: &str) -> Option<T> {
     let text = std::fs::read_to_string(file).ok()?;
     let done: Done<T> = serde_json::from_str(&text).ok()?;

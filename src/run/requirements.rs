@@ -1,4 +1,5 @@
-//! What a scene requires: its systems in order, its columns, and what each step adds.
+//! The requirements of a scene: its systems in order, its columns, and the memory that each step
+//! adds.
 
 use super::Lesson;
 use crate::error::Result;
@@ -13,25 +14,25 @@ use crate::systems::Program;
 use crate::systems::term::Term;
 use serde::Serialize;
 
-/// What one World requires, and what stands beside it.
+/// The requirements of one World, and of the data outside of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Requirements {
-    /// Whose World it is.
+    /// The name of the World.
     pub about: &'static str,
     /// Its terms in order, with the names of their parameters; the weights of a network are one entry.
     pub terms: Vec<(String, Vec<String>)>,
     /// Its kernel, in words.
     pub kernel: String,
-    /// What runs, in words, and its systems in order.
+    /// The programs in words, and the systems of each in order.
     pub programs: Vec<(&'static str, Vec<String>)>,
-    /// Columns that are held throughout.
+    /// Columns held throughout.
     pub held: Vec<Held>,
-    /// What each step adds, to the tape or to the recording.
+    /// Memory that each step adds, to the tape or to the recording.
     pub each_step: Vec<Held>,
 }
 
 impl Requirements {
-    /// Those of a flow, once it has started, and of its recording where `record` says so.
+    /// The requirements of a started flow, and of its recording if `record` is set.
     pub fn of_flow<const D: usize>(scene: &Scene, flow: &mut Flow<D>, record: bool) -> Self {
         let mut found = Self::of_world("the flow", flow);
         if record {
@@ -40,9 +41,9 @@ impl Requirements {
         found
     }
 
-    /// Those of a training: the search and, where there is one, its warm-up, each with a World of its own;
-    /// both are evaluated over one frame, so that they hold what they need. Truth and recording stand
-    /// with the search.
+    /// The requirements of a training: the search and, if there is one, its warm-up, each with its
+    /// own World. Both are evaluated over one frame, so that they have allocated their memory.
+    /// Truth and recording count as part of the search.
     ///
     /// # Errors
     /// As [`Learner::evaluate`].
@@ -86,14 +87,14 @@ impl Requirements {
             (name, systems)
         };
         let programs = flow.programs().into_iter().map(named).collect();
-        // The tape of a search is told by its steps; what is left of one here is the same memory.
+        // The tape of a search is described by its steps; the rest of it here is the same memory.
         let held = flow.held().into_iter().filter(|column| column.part != "tape").collect();
         let terms = flow.terms().map(|term| (term.name(), parameters_of(term))).collect();
         let kernel = describe_kernel(flow.model().medium());
         Self { about, terms, kernel, programs, held, each_step: flow.tape_of_a_step() }
     }
 
-    /// What an adjoint keeps of the way forward, by its storage.
+    /// The memory of an adjoint, by its storage.
     fn way_back<const D: usize>(&mut self, lesson: &Lesson<D>, flow: &mut Flow<D>) {
         let step: f64 = flow.tape_of_a_step().iter().map(|column| column.bytes).sum();
         let steps = lesson.learn.steps();
@@ -114,7 +115,7 @@ impl Requirements {
         }
     }
 
-    /// A recording of some topics, with a frame every so many steps; none of it where that is never.
+    /// A recording of some topics, with a frame every `every` steps; empty where `every` is zero.
     fn recorded(&mut self, topics: &[(&str, u64)]) {
         let part = "recording, a step";
         let topics: Vec<_> = topics.iter().filter(|(_, every)| *every > 0).collect();
@@ -128,7 +129,7 @@ impl Requirements {
         }
     }
 
-    /// Names of the systems of one program; none where there is no such program.
+    /// Names of the systems of one program; empty where there is no such program.
     pub fn systems(&self, program: &str) -> &[String] {
         let found = self.programs.iter().find(|(name, _)| *name == program);
         found.map_or(&[], |(_, systems)| systems)
@@ -165,7 +166,8 @@ impl Requirements {
     }
 }
 
-/// A kernel with the deepest negative lobe of its Fourier transform, which lets particles pair up (Dehnen & Aly 2012).
+/// A kernel with the deepest negative lobe of its Fourier transform, with which particles pair up
+/// (Dehnen & Aly 2012).
 pub(super) fn describe_kernel<const D: usize>(medium: &Medium<D>) -> String {
     let at: Vec<String> = medium
         .kernel_specs()

@@ -1,4 +1,4 @@
-//! A training from beginning to end: truth, search, learned flow, all of it recorded.
+//! A complete training: truth, search and learned flow, all recorded.
 
 use super::{
     Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, run_info,
@@ -19,32 +19,32 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-/// How far a training is.
+/// The progress of a training.
 #[derive(Clone, Copy, Debug)]
 pub enum Progress<'a> {
     /// One more true flow was run for the sampling floor.
     Floor,
     /// One more iteration.
     Iteration(&'a Iteration<'a>),
-    /// Something that is no failure, but should be known; it is in the log, too.
+    /// A warning, which is also in the log.
     Warning(&'a str),
 }
 
-/// Where a loss is this many times as sensitive to its parameters as steady growth from the first step
-/// makes it, the search is told: its gradient holds for relative changes of a millionth.
+/// Growth of a loss's sensitivity to its parameters, relative to steady growth from the first step,
+/// above which a warning is given: the gradient then holds for relative changes of a millionth.
 const GROWN: f64 = 1e6;
 
-/// A training that is about to begin.
+/// A training.
 pub struct Training<'a, const D: usize> {
-    /// What is learned, and how.
+    /// The scene.
     pub scene: &'a Scene,
-    /// What from.
+    /// The data.
     pub lesson: &'a Lesson<D>,
-    /// Where it is recorded.
+    /// The recording.
     pub record: Output,
-    /// The iterations that it goes on from; none where it begins anew.
+    /// The search that is resumed; empty for a new one.
     pub earlier: Vec<TrainStep>,
-    /// Whether the sampling floor is measured, too: two more runs of the truth.
+    /// Whether the sampling floor is measured, which takes two more runs of the truth.
     pub floor: bool,
 }
 
@@ -52,9 +52,9 @@ impl<const D: usize> Training<'_, D> {
     /// Searches from a guess and records truth, search and learned flow.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where the search meets no flow that can be trusted, [`Error::File`] from the
-    /// recorder, [`Error::Interrupted`] where a signal has asked to stop: then the recording is whole up to there,
-    /// under its unfinished name.
+    /// [`Error::Diverged`] where all flows of the search diverge, [`Error::File`] from the
+    /// recorder, [`Error::Interrupted`] where a signal has asked to stop: then the recording is
+    /// complete up to there, under its unfinished name.
     pub fn run(
         &self,
         learner: &mut Learner<D>,
@@ -95,7 +95,8 @@ impl<const D: usize> Training<'_, D> {
         Ok(TrainingReport { kl_floor, pressure_error, ..report })
     }
 
-    /// What a search leaves that was interrupted after a number of recorded iterations, and how to go on.
+    /// The result of a search that was interrupted after a number of recorded iterations, and how
+    /// to continue.
     fn kept(&self, recorded: usize) -> String {
         let file = self.record.unfinished().display();
         if recorded == 0 {
@@ -109,7 +110,8 @@ impl<const D: usize> Training<'_, D> {
         )
     }
 
-    /// Begins a recording: the truth, what is to be learned from it, and what an earlier search found.
+    /// Begins a recording: the truth, the training settings, and the iterations of an earlier
+    /// search.
     fn record_truth(&self, learner: &Learner<D>) -> Result<Recorder> {
         let Self { scene, lesson, record, .. } = self;
         let mut info = run_info(scene, "train");
@@ -138,13 +140,13 @@ impl<const D: usize> Training<'_, D> {
         Ok(recorder)
     }
 
-    /// The last iteration of the search that this one goes on from.
+    /// The last iteration of the search that is resumed.
     fn iterations_before(&self) -> Option<usize> {
         self.earlier.last().map(|last| last.iteration as usize)
     }
 
-    /// The sampling floor of the statistical loss, also in the log, from the truth and two more of other
-    /// seeds; none where that loss is not asked for or only one truth is there.
+    /// The sampling floor of the statistical loss, from the truth and two more with other seeds;
+    /// also written to the log. None without that loss, or if there is only one truth.
     fn measure_floor(
         &self,
         recorder: &mut Recorder,
@@ -184,14 +186,14 @@ impl<const D: usize> Training<'_, D> {
         let mut steady = learner.evaluate(&guess, 1).ok().map(|first| steepness(&first));
         learner.run(guess, &mut |iteration: &Iteration<'_>| {
             watch(Progress::Iteration(iteration));
-            // Where an earlier search ended is where this one begins.
+            // The last iteration of an earlier search is the first of this one.
             if iteration.index > 0 || self.earlier.is_empty() {
                 recorder.train_step(self.train_step(iteration))?;
             }
             if let Some(text) = steady.and_then(|steady| growth_warning(iteration, steady)) {
                 watch(Progress::Warning(&text));
                 recorder.log(Level::Warning, start, text)?;
-                // Once is enough.
+                // One warning is enough.
                 steady = None;
             }
             if let Some(note) = &iteration.note {
@@ -216,7 +218,7 @@ impl<const D: usize> Training<'_, D> {
             window: iteration.window as u64,
             parameters: evaluation.parameters.clone(),
             gradients: evaluation.gradient.clone(),
-            // Nobody knows the true weights of a network.
+            // The true weights of a network do not exist.
             truth: match &self.lesson.known {
                 Some(known) if known.len() == evaluation.parameters.len() => known.clone(),
                 _ => Vec::new(),
@@ -226,8 +228,8 @@ impl<const D: usize> Training<'_, D> {
         .with_logarithms()
     }
 
-    /// Runs the learned flow once more, and records it beside the truth; returns how far a learned
-    /// pressure is from the true one.
+    /// Runs the learned flow once more, and records it with the truth; returns the difference
+    /// between learned and true pressure.
     fn record_learned(
         &self,
         learner: &Learner<D>,
@@ -240,17 +242,18 @@ impl<const D: usize> Training<'_, D> {
         let steps = (lesson.learn.steps(), &scene.record);
         let target = (Some(recorder), recording::Flow::Learned);
         match run_recorded(&mut flow, steps, target, &mut |_| {}) {
-            // Learned over fewer frames: what it does after them is a finding, and is in the log.
+            // If fewer frames were learned, the flow may diverge after them; that is a result, and
+            // is logged.
             Err(Error::Diverged { .. }) if outcome.knowledge.window < lesson.learn.frames => {}
             other => other?,
         }
-        // A learned equation of state can be held against the true one.
+        // A learned equation of state can be compared with the true one.
         let learned = flow.model().has_stress_network() && lesson.known.is_some();
         let seen = lesson.truth.densities_seen();
         Ok(learned.then(|| pressure_error(&flow, &scene.fluid.constants(), seen)))
     }
 
-    /// Records how well the parameters are known: in the log, and as the attachment `knowledge.json`.
+    /// Records the knowledge of the parameters: in the log, and as the attachment `knowledge.json`.
     fn record_knowledge(
         &self,
         learner: &Learner<D>,
@@ -307,17 +310,17 @@ impl<const D: usize> Training<'_, D> {
     }
 }
 
-/// How much a loss changes with its parameters, as a sum of squares would: `|∂L/∂θ|/√L`.
+/// The sensitivity of a loss to its parameters, as for a sum of squares: `|∂L/∂θ|/√L`.
 fn steepness(evaluation: &Evaluation) -> f64 {
     let length = evaluation.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
     length / evaluation.loss.abs().sqrt()
 }
 
-/// What to say where the loss has become far more sensitive than over the first step, `steady`.
+/// The warning that the loss has become much more sensitive than over the first step, `steady`.
 fn growth_warning(iteration: &Iteration<'_>, steady: f64) -> Option<String> {
     let Iteration { index, window, evaluation, .. } = iteration;
     let grown = steepness(evaluation) / (steady * *window as f64);
-    // At zero, at the truth, there is nothing to compare.
+    // At zero loss, for the true parameters, there is nothing to compare.
     (grown > GROWN && grown.is_finite()).then(|| {
         format!(
             "iteration {index}: over {window} steps the loss is {grown:.0e} times as sensitive to its \
@@ -338,7 +341,7 @@ pub fn what<const D: usize>(learner: &Learner<D>) -> String {
     names.join(", ")
 }
 
-/// An earlier search, to go on from.
+/// An earlier search, to be resumed.
 #[derive(Clone, Debug)]
 pub struct Earlier {
     /// All its iterations, in order.
@@ -348,10 +351,10 @@ pub struct Earlier {
 }
 
 impl Earlier {
-    /// That of a recording, also of one that was cut short.
+    /// The search of a recording, also of a truncated one.
     ///
     /// # Errors
-    /// [`Error::Input`] where that recording learned something else.
+    /// [`Error::Input`] where the recording has other learned parameters.
     pub fn open<const D: usize>(path: &Path, learner: &Learner<D>) -> Result<Self> {
         let earlier = Recording::open(path)?;
         let names: Vec<String> = learner.columns().iter().map(Parameter::to_string).collect();

@@ -1,4 +1,4 @@
-//! Densities that come in, against those that the particles have in a kernel.
+//! Compares densities of input data with those that the particles have in a kernel.
 
 use super::Findings;
 use crate::error::Result;
@@ -10,7 +10,7 @@ use crate::truth::{Truth, summed_densities};
 /// A kernel with its smoothing length.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Kernel {
-    /// Which.
+    /// The kernel.
     pub(crate) kernel: KernelChoice,
     /// `h`.
     pub(crate) h: f64,
@@ -23,15 +23,17 @@ impl Kernel {
     }
 }
 
-/// Relative differences below this are round-off, of single precision at worst: the recorded bits stay.
+/// Relative difference below which densities are equal to round-off, at worst of single precision:
+/// the recorded bits are kept.
 const SINGLE: f64 = 1e-5;
 
-/// Refused from here on: other units, another reference density.
+/// Relative difference from which densities are refused: other units, or another reference density.
 const UNITS: f64 = 0.05;
 
-/// Refused from here on (root mean square) where the differences last from frame to frame: those of another kernel or
-/// `h` do, those of noise do not. In `tests/door.rs` an `h` that is off by 1 % makes 7e-4, and 97 % of that lasts; of
-/// noise of 1 % of the spacing nothing lasts.
+/// Root-mean-square relative difference from which densities are refused if it persists from frame
+/// to frame: differences due to another kernel or `h` persist, those due to noise do not. In
+/// `tests/door.rs`, a change of `h` by 1 % makes 7e-4, of which 97 % persists; of noise of 1 % of
+/// the spacing nothing persists.
 const LASTING: f64 = 1e-4;
 
 /// Sums the densities of a truth that has none.
@@ -47,10 +49,12 @@ pub(crate) fn sum_where_missing<const D: usize>(
     }
 }
 
-/// Puts the densities of the scene's kernel in place of those that are missing, are all one, or differ.
+/// Uses the densities of the scene's kernel where densities are missing, all equal to one, or
+/// slightly different.
 ///
 /// # Errors
-/// [`crate::Error::Input`] where they differ as those of other units, kernels or smoothing lengths do.
+/// [`crate::Error::Input`] where the differences are those of other units, kernels or smoothing
+/// lengths.
 pub(crate) fn settle<const D: usize>(
     truth: &mut Truth<D>,
     kernel: Kernel,
@@ -79,8 +83,8 @@ pub(crate) fn settle<const D: usize>(
     judge(&given, &differences, findings)
 }
 
-/// Holds densities against the sum of the kernel that the data are said to have or, where none is named, against the
-/// reference density of 1.
+/// Compares densities with the sum of the kernel that is given for the data or, without one, with
+/// the reference density of 1.
 ///
 /// # Errors
 /// As [`settle`].
@@ -104,7 +108,8 @@ pub(crate) fn check<const D: usize>(
     settle(&mut truth.clone(), kernel, space, findings)
 }
 
-/// Says what densities differ by from the sum of the kernel, `given/sum − 1` of every particle in every frame.
+/// Describes the differences of densities from the sum of the kernel, `given/sum − 1` of every
+/// particle in every frame.
 fn judge(given: &[Vec<f64>], differences: &[f64], findings: &mut Findings) -> Result<()> {
     let count = differences.len() as f64;
     let mean = differences.iter().sum::<f64>() / count;
@@ -140,7 +145,7 @@ fn judge(given: &[Vec<f64>], differences: &[f64], findings: &mut Findings) -> Re
     Ok(())
 }
 
-/// Whether the difference of a particle is much the same in the next frame.
+/// Whether the difference of a particle is similar in the next frame.
 fn lasts(differences: &[f64], particles: usize) -> bool {
     let pairs = || differences.iter().zip(differences.iter().skip(particles));
     let both: f64 = pairs().map(|(now, next)| now * next).sum();

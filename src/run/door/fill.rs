@@ -7,23 +7,23 @@ use crate::kernel::KernelChoice;
 use crate::space::PeriodicBox;
 use crate::truth::summed_densities;
 
-/// Fewer particles than this fill no box.
+/// Number of particles below which the check is skipped.
 const FEWEST: usize = 27;
 
-/// A gap along an axis may be this many particle spacings; in a lattice it is one.
+/// Gap along an axis, in particle spacings, above which it is refused; in a lattice it is one.
 const WIDEST: f64 = 1.5;
 
-/// Densities of particles that were folded into a smaller box than theirs differ by more than this, as a share of
-/// their mean; those of a weakly compressible flow differ by some hundredths.
+/// Relative scatter of densities above which particles were folded into a box smaller than their
+/// own. In a weakly compressible flow it is some hundredths.
 const FOLDED: f64 = 0.2;
 
-/// What to do about a box that is not filled.
+/// The remedy for a box that is not filled.
 const FILLED: &str = "give the box that they fill (--box, fluid.box_length)";
 
 /// Names of the axes.
 const NAMES: [&str; 3] = ["x", "y", "z"];
 
-/// Refuses particles that leave a part of the box empty, that lie in a plane, or that were folded into a box
+/// Refuses particles that leave a part of the box empty, lie in a plane, or were folded into a box
 /// smaller than their own.
 pub(super) fn check<const D: usize>(
     state: &State<D>,
@@ -62,7 +62,7 @@ pub(super) fn check<const D: usize>(
     Ok(())
 }
 
-/// Refuses particles that are all in one place along an axis.
+/// Refuses particles with the same coordinate along an axis.
 fn say_flat<const D: usize>(
     state: &State<D>,
     (axis, place): (usize, f64),
@@ -80,7 +80,7 @@ fn say_flat<const D: usize>(
     findings.refuse(expected, format!("{name} = {place} of every particle"), remedy)
 }
 
-/// Refuses particles that span more than a box, and that the box folds on top of each other.
+/// Refuses particles that span more than a box and overlap when folded into it.
 fn check_folded<const D: usize>(
     state: &State<D>,
     space: PeriodicBox,
@@ -108,7 +108,7 @@ fn ends(numbers: &[f64]) -> (f64, f64) {
     numbers.iter().fold(start, |(low, high), &x| (x.min(low), x.max(high)))
 }
 
-/// The longest stretch of a periodic axis without a particle.
+/// The longest gap of a periodic axis without a particle.
 fn widest_gap(along: &[f64], space: PeriodicBox) -> f64 {
     let mut inside: Vec<f64> = along.iter().map(|x| x.rem_euclid(space.length)).collect();
     inside.sort_unstable_by(f64::total_cmp);

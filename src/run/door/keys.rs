@@ -1,4 +1,4 @@
-//! What a recording says of itself against the scene, key by key.
+//! Compares the metadata of a recording with the scene, key by key.
 
 use super::Findings;
 use crate::error::Result;
@@ -6,7 +6,7 @@ use crate::parameters::Parameter;
 use crate::recording::Recording;
 use crate::scene::{Forcing, Learn, Scene};
 
-/// Refuses another box: a difference of round-off is none.
+/// Refuses another box; round-off is no difference.
 pub(super) fn check_box(
     recording: &Recording,
     scene: &Scene,
@@ -20,12 +20,12 @@ pub(super) fn check_box(
     findings.refuse(format!("a box of {expected}"), found, remedy)
 }
 
-/// Whether two numbers are the same but for round-off.
+/// Whether two numbers are equal to round-off.
 fn alike(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
 }
 
-/// The scene that made a recording, where there is one that can be read.
+/// The scene that made a recording, if it can be read.
 fn scene_of(recording: &Recording, findings: &mut Findings) -> Option<Scene> {
     let text = &recording.run().scene_toml;
     if text.is_empty() {
@@ -43,7 +43,8 @@ fn number(recording: &Recording, key: &str) -> Option<f64> {
     recording.run().metadata.get(key)?.parse().ok()
 }
 
-/// Refuses a recording of another `h`, kernel or kind of step, and says what else differs and is not learned.
+/// Refuses a recording with another `h`, kernel or kind of step, and warns of other differences in
+/// keys that are not learned.
 pub(super) fn check_truth(
     recording: &Recording,
     scene: &Scene,
@@ -74,9 +75,9 @@ pub(super) fn check_truth(
     }
 }
 
-/// The same for what only a scene knows.
+/// The same for keys that only a scene has.
 fn check_scene(other: &Scene, scene: &Scene, findings: &mut Findings) -> Result<()> {
-    // A step that an accuracy asked for stands in place of the recording's.
+    // A step chosen for a requested accuracy replaces the recording's.
     let chosen = scene.chosen.is_some() || scene.is_unsettled();
     let steps = [other, scene].map(|scene| scene.time.step.name());
     if steps[0] != steps[1] && !chosen {
@@ -100,7 +101,7 @@ fn check_scene(other: &Scene, scene: &Scene, findings: &mut Findings) -> Result<
     Ok(())
 }
 
-/// Says which forcing and which constants differ that are not learned.
+/// Warns of differences in forcing and constants that are not learned.
 fn say_other_laws(other: &Scene, (scene, learn): (&Scene, &Learn), findings: &mut Findings) {
     if !stirred_alike(&other.forcing, &scene.forcing, learn) {
         findings.warn(format!(
@@ -126,7 +127,7 @@ fn say_other_laws(other: &Scene, (scene, learn): (&Scene, &Learn), findings: &mu
     }
 }
 
-/// Whether a model with a network in its place never looks at a constant of the fluid.
+/// Whether a model with a network does not depend on a constant of the fluid.
 fn is_unseen(name: &str, learn: &Learn) -> bool {
     let replaced = match learn.model.kind() {
         "physics" => &[][..],
@@ -137,7 +138,7 @@ fn is_unseen(name: &str, learn: &Learn) -> bool {
     replaced.contains(&name)
 }
 
-/// Whether two forcings are one, but for a strength that is learned.
+/// Whether two forcings are equal, except for a strength that is learned.
 fn stirred_alike(theirs: &Forcing, ours: &Forcing, learn: &Learn) -> bool {
     match (theirs, ours) {
         (
@@ -148,13 +149,14 @@ fn stirred_alike(theirs: &Forcing, ours: &Forcing, learn: &Learn) -> bool {
     }
 }
 
-/// A forcing as a scene spells it.
+/// A forcing in the notation of scenes.
 fn stirring(forcing: &Forcing) -> String {
     toml::to_string(forcing).unwrap_or_default().trim().replace('\n', ", ")
 }
 
-/// Says what a flow that goes on from a recording does not share with it. Time step, forcing and constants of the
-/// fluid are what one goes on with to change.
+/// Warns of differences between a flow and the recording from which it continues. Time step,
+/// forcing and constants of the fluid are not compared, because they are what a user continues with
+/// to change.
 pub(super) fn check_state(recording: &Recording, scene: &Scene, findings: &mut Findings) {
     let Some(other) = scene_of(recording, findings) else { return };
     let (theirs, ours) = (other.fluid.smoothing_length, scene.fluid.smoothing_length);
@@ -168,7 +170,7 @@ pub(super) fn check_state(recording: &Recording, scene: &Scene, findings: &mut F
     }
 }
 
-/// Says that the scene would make another number of particles.
+/// Warns that the scene has another number of particles.
 pub(super) fn check_particles(found: usize, scene: &Scene, findings: &mut Findings) {
     let ours = scene.particles();
     if found != ours {

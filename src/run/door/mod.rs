@@ -1,4 +1,5 @@
-//! What comes in from outside is held against itself and against the scene, before anything is learned from it.
+//! Checks of input data, for consistency with themselves and with the scene, before anything is
+//! learned from them.
 //!
 //! | what | where | when it does not fit |
 //! |---|---|---|
@@ -15,7 +16,8 @@
 //! | box | `--from` | refused |
 //! | `h`, kernel, number of particles | `--from` | a warning |
 //!
-//! What is refused can be forced by a user who knows better, but for the first two rows; it is a warning then.
+//! A user who knows better can force what is refused, except for the first two rows; it is then a
+//! warning.
 
 mod densities;
 mod fill;
@@ -35,39 +37,39 @@ use std::path::Path;
 pub(crate) use densities::{Kernel, check as check_densities, sum_where_missing};
 pub(crate) use motion::misses;
 
-/// A recording that was given as the truth.
+/// A recording given as the truth.
 #[derive(Clone, Copy, Debug)]
 pub struct Given<'a> {
-    /// Where it is.
+    /// Its path.
     pub path: &'a Path,
-    /// Whether it is taken even where it does not fit itself or the scene.
+    /// Whether it is accepted even if it is inconsistent with itself or the scene.
     pub force: bool,
 }
 
-/// A truth that was let in.
+/// A truth that has been accepted.
 #[derive(Clone, Debug)]
 pub struct Admitted<const D: usize> {
-    /// The states, with positions inside the box and densities in the scene's kernel.
+    /// The states, with positions inside the box and densities of the scene's kernel.
     pub truth: Truth<D>,
-    /// What does not fit, and was taken all the same.
+    /// Inconsistencies that were accepted.
     pub warnings: Vec<String>,
 }
 
-/// What was noticed at the door.
+/// The findings of the checks.
 pub(crate) struct Findings {
     place: String,
     force: bool,
-    /// What is no reason to refuse.
+    /// Findings that are not refused.
     pub(crate) warnings: Vec<String>,
 }
 
 impl Findings {
-    /// Of what stands in a place; `force` turns what would be refused into warnings.
+    /// Findings about the data at a place; `force` turns refusals into warnings.
     pub(crate) fn new(place: impl ToString, force: bool) -> Self {
         Self { place: place.to_string(), force, warnings: Vec::new() }
     }
 
-    /// Something for which the input is refused, unless it is forced.
+    /// Refuses the data, unless forced.
     pub(crate) fn refuse(
         &mut self,
         expected: impl ToString,
@@ -83,7 +85,7 @@ impl Findings {
         Ok(())
     }
 
-    /// Something that no force helps with.
+    /// Refuses the data, even if forced.
     pub(crate) fn never<T>(
         &self,
         expected: impl ToString,
@@ -93,16 +95,16 @@ impl Findings {
         Err(Error::input(&self.place, expected, found, remedy))
     }
 
-    /// Something that should be known.
+    /// Adds a warning.
     pub(crate) fn warn(&mut self, text: impl std::fmt::Display) {
         self.warnings.push(format!("{}: {text}", self.place));
     }
 }
 
-/// Positions may be this many boxes away from the box before they lose their meaning.
+/// Distance of positions from the box, in boxes, above which they are meaningless.
 const FARTHEST: f64 = 1e6;
 
-/// Holds states against themselves.
+/// Checks states for consistency with themselves.
 pub(crate) fn check_itself<const D: usize>(
     truth: &Truth<D>,
     space: PeriodicBox,
@@ -116,7 +118,7 @@ pub(crate) fn check_itself<const D: usize>(
     motion::check(truth, space, findings)
 }
 
-/// Refuses numbers that are none, and frames of other particles than the first has.
+/// Refuses numbers that are not finite, and frames with other particles than the first.
 fn check_numbers<const D: usize>(
     truth: &Truth<D>,
     space: PeriodicBox,
@@ -146,7 +148,7 @@ fn check_numbers<const D: usize>(
     Ok(())
 }
 
-/// The first particle of which something is no number, is too far away or is not positive.
+/// The first particle with a number that is not finite, too large or not positive.
 fn lost_number<const D: usize>(
     state: &State<D>,
     densities: &[f64],
@@ -166,13 +168,14 @@ fn lost_number<const D: usize>(
     position.or_else(velocity).or_else(density)
 }
 
-/// How far two times between frames may be apart: a billionth, and what the times themselves are known to.
+/// Largest difference between two times between frames that counts as equal: a relative 1e-9, plus
+/// the rounding of the times.
 pub(crate) fn tolerance(wanted: f64, latest: f64) -> f64 {
     let next = f64::from_bits(latest.abs().to_bits() + 1);
     1e-9 * wanted.abs() + 4.0 * (next - latest.abs())
 }
 
-/// Refuses frames that are not equally long apart.
+/// Refuses frames at unequal intervals.
 fn check_times<const D: usize>(truth: &Truth<D>, findings: &mut Findings) -> Result<()> {
     let times: Vec<f64> = truth.states.iter().map(|state| state.time).collect();
     let Some(&[first, second]) = times.first_chunk() else { return Ok(()) };
@@ -188,7 +191,7 @@ fn check_times<const D: usize>(truth: &Truth<D>, findings: &mut Findings) -> Res
     })
 }
 
-/// Refuses a time between frames other than the scene's.
+/// Refuses another time between frames than the scene's.
 fn check_interval<const D: usize>(
     truth: &Truth<D>,
     scene: &Scene,
@@ -208,10 +211,10 @@ fn check_interval<const D: usize>(
     })
 }
 
-/// The true states in a recording, to learn from, once they fit themselves and the scene.
+/// The true states in a recording, after all checks against themselves and the scene.
 ///
 /// # Errors
-/// [`Error::Input`] where they do not, as the table of [`crate::run::door`] says.
+/// [`Error::Input`] where a check fails, see the table of [`crate::run::door`].
 pub fn admit<const D: usize>(
     recording: &Recording,
     scene: &Scene,
@@ -244,7 +247,7 @@ pub fn admit<const D: usize>(
     Ok(Admitted { truth, warnings: findings.warnings })
 }
 
-/// The states of numbered frames, whose particles must be the same.
+/// The states of numbered frames, which must have the same particles.
 pub(crate) fn truth_of<const D: usize>(
     frames: impl Iterator<Item = Result<Numbered>>,
     findings: &Findings,
@@ -280,10 +283,11 @@ fn must_have_dimension<const D: usize>(recording: &Recording, findings: &Finding
     }
 }
 
-/// A state to go on from: a frame of a recording, or its last, of learned particles where there are any.
+/// A state to continue from: a frame of a recording, by default its last, of learned particles if
+/// there are any.
 ///
 /// # Errors
-/// [`Error::Input`] where there is no such frame, or it does not fit the scene.
+/// [`Error::Input`] where there is no such frame, or it does not match the scene.
 pub fn admit_state<const D: usize>(
     given: Given<'_>,
     scene: &Scene,
@@ -312,7 +316,7 @@ pub fn admit_state<const D: usize>(
     Ok((state, findings.warnings))
 }
 
-/// A truth with where it came from.
+/// A truth with its origin.
 ///
 /// # Errors
 /// As [`admit`] and [`Origin::of`].
@@ -325,7 +329,7 @@ pub(crate) fn admit_given<const D: usize>(
     Ok((admitted, Origin::of(given.path)?))
 }
 
-/// The middle one of some numbers.
+/// The median of some numbers.
 pub(crate) fn median(mut numbers: Vec<f64>) -> f64 {
     let middle = numbers.len() / 2;
     if numbers.is_empty() {

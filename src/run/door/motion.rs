@@ -1,5 +1,5 @@
-//! Whether particles move as far as their velocities say: what catches wrong axes, rows in another order, a wrong
-//! time between frames, velocities in other units and a wrong box, all at once.
+//! Checks that particles move by their velocities, which detects wrong axes, rows in another order,
+//! a wrong time between frames, velocities in other units and a wrong box.
 
 use super::{Findings, median};
 use crate::error::Result;
@@ -7,27 +7,30 @@ use crate::space::PeriodicBox;
 use crate::truth::Truth;
 use crate::vector::Vector;
 
-/// Half of the particles may miss this share of their way before the data are refused.
+/// Median deviation of displacements, relative to those from velocities, above which the data are
+/// refused.
 const REFUSED: f64 = 0.5;
 
-/// From this share on it is said.
+/// Median relative deviation above which there is a warning.
 const SAID: f64 = 0.01;
 
-/// A single miss is refused from this share of the way between frames on, and this many times the usual miss.
+/// Deviation of a single particle above which it is refused: relative to its displacement between
+/// frames, and relative to the usual deviation.
 const JUMP: (f64, f64) = (0.5, 100.0);
 
-/// It is said from here on.
+/// The same limits for a warning.
 const TWITCH: (f64, f64) = (0.02, 20.0);
 
-/// How far particles go, and how far that is from what their velocities say.
+/// Displacements of particles, compared with those from their velocities.
 pub(crate) struct Misses<const D: usize> {
-    /// Of each particle over all frames: where it went, and where its velocities lead.
+    /// For each particle over all frames: its displacement, and the displacement from its
+    /// velocities.
     pub(crate) ways: Vec<(Vector<f64, D>, Vector<f64, D>)>,
-    /// Median of the distance between the two.
+    /// Median distance between the two.
     pub(crate) miss: f64,
-    /// Median length of what velocities say.
+    /// Median length of the displacement from velocities.
     pub(crate) way: f64,
-    /// Median of what is not known of that, since velocities are known at frames alone.
+    /// Median error of that displacement, because velocities are known only at frames.
     pub(crate) unknown: f64,
 }
 
@@ -73,7 +76,7 @@ fn image<const D: usize>(difference: Vector<f64, D>, space: PeriodicBox) -> Vect
     difference.map(|x| x - space.length * (x / space.length).round())
 }
 
-/// Refuses particles that do not move as their velocities say.
+/// Refuses particles that do not move by their velocities.
 pub(super) fn check<const D: usize>(
     truth: &Truth<D>,
     space: PeriodicBox,
@@ -104,7 +107,7 @@ pub(super) fn check<const D: usize>(
     check_jumps(truth, space, findings)
 }
 
-/// What the data look like, and what to do.
+/// A diagnosis of the data, and a remedy.
 fn diagnose<const D: usize>(
     truth: &Truth<D>,
     space: PeriodicBox,
@@ -140,7 +143,7 @@ fn diagnose<const D: usize>(
     (format!("{miss}, in no direction of its own"), remedy.to_owned())
 }
 
-/// The factor by which ways are longer than what velocities say, and the cosine between the two.
+/// The ratio of displacements to those from velocities, and the cosine between the two.
 fn factor_of<const D: usize>(ways: &[(Vector<f64, D>, Vector<f64, D>)]) -> (f64, f64) {
     let usual = [
         10.0 * median(ways.iter().map(|(went, _)| went.norm()).collect()),
@@ -156,7 +159,8 @@ fn factor_of<const D: usize>(ways: &[(Vector<f64, D>, Vector<f64, D>)]) -> (f64,
     (both / says * usual[0] / usual[1], both / (went * says).sqrt())
 }
 
-/// Whether some particle is where another's velocity leads: looked at for some particles between two frames.
+/// Whether the velocity of some particle leads to the position of another one; checked for some
+/// particles between two frames.
 fn reordered<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> bool {
     let [from, to] = [&truth.states[0], &truth.states[1]];
     let count = from.positions.len();
@@ -169,7 +173,7 @@ fn reordered<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> bool {
     median(nearest.collect()) < 0.2 * spacing
 }
 
-/// Looks for single particles that jump between two frames.
+/// Checks for single particles that jump between two frames.
 fn check_jumps<const D: usize>(
     truth: &Truth<D>,
     space: PeriodicBox,
