@@ -91,17 +91,17 @@ fn positive(text: &str) -> std::result::Result<f64, String> {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     let threads = usize::from(arguments.threads.unwrap_or(0));
-    // A second pool in one process would be a mistake of ours, and harmless.
+    // A second pool in one process would be a bug of ours, and harmless.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     conclude(truth_of(&arguments).and_then(|(scene, recorded)| {
         in_dimension!(scene, run(&arguments, &scene, recorded.as_deref()))
     }))
 }
 
-/// The scene of the truth, and where its particles are recorded, if they are.
+/// The scene of the truth, and its recording, if there is one.
 fn truth_of(arguments: &Arguments) -> Result<(Scene, Option<PathBuf>)> {
     let (mut scene, recorded) = match &arguments.truth {
         None => (scene_of_first(arguments)?, origin_of_all(&arguments.learned)?),
@@ -123,7 +123,8 @@ fn scene_of_first(arguments: &Arguments) -> Result<Scene> {
     Scene::parse(&recording.run().scene_toml, &place, &arguments.overrides)
 }
 
-/// The recording that all models were learned from; none where all were learned from flows of their scenes.
+/// The recording that all models were learned from; none if all were learned from flows of their
+/// scenes.
 fn origin_of_all(learned: &[PathBuf]) -> Result<Option<PathBuf>> {
     let mut origins = Vec::new();
     for path in learned {
@@ -190,7 +191,7 @@ fn run<const D: usize>(
     if arguments.json { say_json(&summary(&evaluation, &files)) } else { Ok(()) }
 }
 
-/// The folder of the results, for this run alone.
+/// The folder of the results, reserved for this run.
 fn reserve_folder(arguments: &Arguments) -> Result<Output> {
     let truth = arguments.truth.as_ref().map(Path::new);
     let inputs: Vec<&Path> = arguments.learned.iter().map(PathBuf::as_path).chain(truth).collect();
@@ -200,7 +201,8 @@ fn reserve_folder(arguments: &Arguments) -> Result<Output> {
     guard.reserve_folder(&arguments.out, names)
 }
 
-/// Consecutive pieces of a recorded flow: as long as is asked for or, where no length is, as the recording allows.
+/// Consecutive pieces of a recorded flow, of the requested length or, without one, of the length
+/// that the recording allows.
 fn pieces<const D: usize>(
     path: &Path,
     (arguments, scene): (&Arguments, &Scene),

@@ -60,7 +60,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     conclude(import(Arguments::parse()))
 }

@@ -73,7 +73,7 @@ fn one_file(arguments: &Arguments, option: &str) -> Result<()> {
 
 fn rescue(file: &Path, out: Option<&Path>) -> Result<Value> {
     let output = out.map_or_else(|| file.with_extension("recovered.mcap"), Path::to_owned);
-    // A recovered recording is one of the command that was killed.
+    // A recovered recording belongs to the command that was killed.
     if let Some(command) = command_of(file) {
         let guard = Guard { command: &command, inputs: &[file], ..Guard::default() };
         guard.check(&output)?;

@@ -40,10 +40,10 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     let threads = usize::from(arguments.threads.unwrap_or(0));
-    // A second pool in one process would be a mistake of ours, and harmless.
+    // A second pool in one process would be a bug of ours, and harmless.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     conclude(run(&arguments))
 }
@@ -81,7 +81,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     }))
 }
 
-/// Does what is not done; how many stages were done before, and how many now.
+/// Runs the stages that are not done; returns the numbers of stages done before and done now.
 fn stages(reproduction: &Reproduction) -> Result<(usize, usize)> {
     let all = Stage::all();
     let (mut left, mut before) = (Vec::new(), 0);
@@ -112,7 +112,7 @@ fn stages(reproduction: &Reproduction) -> Result<(usize, usize)> {
     Ok((before, left.len()))
 }
 
-/// A line per stage where there is no terminal to draw a bar on.
+/// Prints a line per stage where there is no terminal for a bar.
 #[expect(clippy::print_stderr, reason = "progress belongs on standard error")]
 fn announce(bar: &ProgressBar, name: &str) {
     let (done, all) = (bar.position() as f64, bar.length().unwrap_or(0) as f64);

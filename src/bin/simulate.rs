@@ -47,8 +47,9 @@ struct Arguments {
     /// Steps to run [default: the scene's].
     #[arg(long, allow_negative_numbers = true)]
     steps: Option<u64>,
-    /// Take the cheapest step that keeps particles within so many smoothing lengths of a much finer run,
-    /// over twenty steps of the scene, as --set accuracy=LENGTHS; --explain shows what was tried.
+    /// Take the cheapest step that keeps particles within this many smoothing lengths of a much
+    /// finer run, over twenty steps of the scene, as --set accuracy=LENGTHS; --explain shows what
+    /// was tried.
     #[arg(long, value_name = "LENGTHS")]
     accuracy: Option<f64>,
     /// Where to record [default: recordings/SCENE.flow.mcap]; --set record.every=0 records nothing. Until it is
@@ -79,7 +80,7 @@ struct Report {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     let mut common = arguments.common.clone();
     let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
@@ -142,7 +143,7 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let seconds = clock.elapsed().as_secs_f64();
     bar.finish_and_clear();
     let concluded = recorder.map(|recorder| recorder.conclude(&outcome)).transpose();
-    // What was recorded last is where it can be gone on from.
+    // The run can be continued from the last recorded frame.
     let recorded = flow.steps() - flow.steps() % scene.record.every.max(1);
     interrupt::keep(outcome, || kept(output.as_ref(), recorded, steps))?;
     concluded?;
@@ -165,7 +166,7 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     if arguments.common.json { say_json(&report) } else { Ok(()) }
 }
 
-/// The recording's place, where there is one to be.
+/// The recording's path, if one is written.
 fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
     if arguments.common.explain || scene.record.every == 0 {
         return Ok(None);
@@ -179,7 +180,7 @@ fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>
     reserve(&guard, path).map(Some)
 }
 
-/// What an interrupted run leaves, and how to go on.
+/// The result of an interrupted run, and how to continue.
 fn kept(output: Option<&Output>, done: u64, steps: u64) -> String {
     let Some(output) = output else { return "nothing was to be recorded".to_owned() };
     let (file, left) = (output.unfinished().display(), steps.saturating_sub(done));

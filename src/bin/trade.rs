@@ -51,7 +51,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
         if arguments.common.print_scene {
@@ -110,7 +110,7 @@ fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     }))
 }
 
-/// The folder of the results, for this run alone.
+/// The folder of the results, reserved for this run.
 fn reserve_folder(arguments: &Arguments, folder: &Path) -> Result<Output> {
     let guard =
         Guard { command: "trade", inputs: &[Path::new(&arguments.scene)], ..Guard::default() };
@@ -128,7 +128,7 @@ fn plan(arguments: &Arguments) -> Plan {
     }
 }
 
-/// Everything that a scene lets be priced.
+/// Measures everything that the scene allows.
 fn price<const D: usize>(
     scene: &Scene,
     truth: &Truth<D>,

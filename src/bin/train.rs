@@ -75,7 +75,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    // Where signals cannot be kept they end the command as they always did.
+    // If signals cannot be caught, they end the command as usual.
     drop(interrupt::listen());
     conclude(arguments.common.open(&arguments.scene).and_then(|scene| {
         if arguments.common.print_scene {
@@ -116,7 +116,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
         return explain(&found, arguments.common.json);
     }
     let Some(record) = output else {
-        // The memory of its sensitivities is wanted for others.
+        // Frees the memory of its sensitivities.
         drop(learner);
         return match arguments.check_gradient {
             true => check_gradient(scene, &lesson, (&guess, arguments.common.json)),
@@ -133,7 +133,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     show_live(arguments, &report.recording)
 }
 
-/// The recording's place, where there is one to be.
+/// The recording's path, if one is written.
 fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
     if arguments.common.explain || arguments.check_gradient || arguments.check_coupling {
         return Ok(None);
@@ -147,7 +147,7 @@ fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>
     reserve(&guard, path).map(Some)
 }
 
-/// The training, with bars for the floor and for the search.
+/// The training, with progress bars for the floor and for the search.
 fn learn_and_record<const D: usize>(
     training: &Training<'_, D>,
     learner: &mut Learner<D>,

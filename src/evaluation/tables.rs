@@ -36,7 +36,7 @@ pub struct Summary {
     pub kl_over_time: f64,
     /// Median over strengths and realisations of the mean field error up to the training's horizon.
     pub field_over_strength: f64,
-    /// Share of all steps with a KL within twice the floor: the median over realisations.
+    /// Number of steps with a KL within twice the floor: the median over realisations.
     pub within_twice_floor: u64,
     /// The step up to which the KL stays there, from the training's horizon on.
     pub within_until: u64,

@@ -1,4 +1,4 @@
-//! Accuracy that a scene asks for, and the step that a calibration chose for it.
+//! A requested accuracy, and the step that a calibration chose for it.
 
 use super::Scene;
 use crate::systems::verlet::Step;
@@ -26,7 +26,7 @@ impl Speed {
     /// All of them, the fastest first.
     pub const ALL: [Self; 3] = [Self::Draft, Self::Balanced, Self::Exact];
 
-    /// The accuracy that it stands for, in smoothing lengths.
+    /// The accuracy in smoothing lengths.
     pub fn accuracy(self) -> f64 {
         match self {
             Self::Draft => 1e-2,
@@ -45,20 +45,20 @@ impl Speed {
     }
 }
 
-/// What a calibration chose for a scene, and for what. A scene that has it runs as it stands.
+/// The result of a calibration. A scene that contains it runs as it is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chosen {
-    /// The accuracy asked for.
+    /// The requested accuracy.
     pub accuracy: f64,
     /// Kind of step.
     pub step: Step,
     /// Time step.
     pub dt: f64,
-    /// Force evaluations for the same stretch of flow, over those of the scene as it was written.
+    /// Number of force evaluations per time, divided by that of the scene as written.
     pub cost: f64,
-    /// Root-mean-square distance of particles from a much finer run after the calibration, over the
-    /// smoothing length.
+    /// Root-mean-square distance of particles from a much finer run after the calibration, divided
+    /// by the smoothing length.
     pub error: f64,
 }
 
@@ -75,24 +75,25 @@ impl std::fmt::Display for Chosen {
 }
 
 impl Scene {
-    /// The accuracy asked for, in smoothing lengths, by number or by name.
+    /// The requested accuracy in smoothing lengths, from a number or a name.
     pub fn accuracy_asked(&self) -> Option<f64> {
         self.accuracy.or_else(|| self.speed.map(Speed::accuracy))
     }
 
-    /// Whether an accuracy is asked for and nothing has been chosen for it yet: no flow runs so.
+    /// Whether an accuracy is requested but no step has been chosen: such a scene cannot run.
     pub fn is_unsettled(&self) -> bool {
         self.accuracy_asked().is_some() && self.chosen.is_none()
     }
 
-    /// The scene that asks for nothing and runs as it is written.
+    /// The scene without a requested accuracy, as written.
     pub fn as_written(&self) -> Self {
         Self { accuracy: None, speed: None, chosen: None, ..self.clone() }
     }
 
-    /// The same scene in steps `finer` times finer and `longer` times longer, with every count of steps
-    /// changed alike, so that everything happens at the same times: `None` where some count does not
-    /// stay whole. Recorded are the same times where it can be, and never more than one a step.
+    /// The same scene in steps `finer` times finer and `longer` times longer. All counts of steps
+    /// change accordingly, so that everything happens at the same times; `None` where some count
+    /// would not be whole. The recorded times are kept where possible, with at most one frame per
+    /// step.
     pub fn in_other_steps(&self, finer: u64, longer: u64) -> Option<Self> {
         let counted = |steps: u64| {
             let steps = steps.checked_mul(finer)?;

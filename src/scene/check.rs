@@ -1,15 +1,15 @@
-//! What a scene must satisfy beyond its types.
+//! Conditions that a scene must satisfy beyond its types.
 
 use super::check_learn::{learn_requirements, loss_requirements, optimiser_requirements};
 use super::{Forcing, Scene, Speed};
 use crate::error::{Error, Result};
 use crate::forcing::ornstein_uhlenbeck::WIDEST;
 
-/// Requirement on one key: whether it holds, the key, what is expected, what is there.
+/// Requirement on one key: whether it holds, the key, what is expected, what was found.
 pub(crate) type Requirement = (bool, &'static str, &'static str, String);
 
 impl Scene {
-    /// Refuses numbers that no run could use; `origin` names the scene in the error.
+    /// Refuses numbers that no run can use; `origin` names the scene in the error.
     pub fn check(&self, origin: &str) -> Result<()> {
         let mut requirements = self.accuracy_requirements();
         requirements.extend(self.fluid_requirements());
@@ -40,7 +40,7 @@ impl Scene {
         }
     }
 
-    /// Refuses a number anywhere that is not finite, whatever else is asked of its key.
+    /// Refuses a number that is not finite in any key, whatever other conditions the key has.
     fn must_be_finite(&self, origin: &str) -> Result<()> {
         let written = toml::Value::try_from(self).ok();
         match written.and_then(|table| not_finite(&table)) {
@@ -90,7 +90,7 @@ impl Scene {
         ]
     }
 
-    /// Most particles, and most nodes, along each axis.
+    /// Number of particles, or of nodes, along each axis, maximum.
     fn most_a_side(&self) -> usize {
         if self.dimension == 2 { 8192 } else { 406 }
     }
@@ -218,7 +218,7 @@ fn forcing_requirements(forcing: &Forcing) -> Vec<Requirement> {
     }
 }
 
-/// The first number in a value that is not finite, and the key that leads there.
+/// The first number in a value that is not finite, and its key.
 fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
     let below = |key: &str, value: &toml::Value| {
         let (rest, found) = not_finite(value)?;

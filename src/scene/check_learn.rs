@@ -1,4 +1,4 @@
-//! What the part of a scene that learns must satisfy beyond its types.
+//! Conditions that the learning part of a scene must satisfy beyond its types.
 
 use super::check::{Requirement, positive};
 use super::{Learn, Optimiser, Scene, Weights};
@@ -33,8 +33,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Refuses a guess from which no search can move: one that is no number, is outside of what the parameter may be,
-    /// or is a sound speed of zero, where nothing depends on anything.
+    /// Refuses a guess from which no search can move: one that is not finite, is outside of the
+    /// parameter's domain, or is a sound speed of zero, at which all derivatives vanish.
     pub(super) fn must_start_inside(&self, origin: &str, learn: &Learn) -> Result<()> {
         let known = self.parameters();
         for (name, &value) in &learn.guess {
@@ -134,7 +134,7 @@ pub(super) fn optimiser_requirements(optimiser: &Optimiser) -> Vec<Requirement> 
     all
 }
 
-/// Names of parameters as a scene lists them.
+/// Names of parameters in the notation of scenes.
 fn listed(parameters: &[Parameter]) -> String {
     let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
     format!("[{}]", names.join(", "))

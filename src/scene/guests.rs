@@ -1,5 +1,5 @@
-//! Terms of a caller's own in a scene: the scene's text names them with the values of their parameters, the code is
-//! added by the program.
+//! A user's terms in a scene: the scene's text contains their names and the values of their
+//! parameters, the program adds their code.
 
 use super::Scene;
 use crate::error::{Error, Result};
@@ -15,10 +15,10 @@ use std::sync::Arc;
 /// Values of a term's parameters by name.
 pub type Values = BTreeMap<String, f64>;
 
-/// Makes a term from the values that the scene gives to its parameters.
+/// Makes a term from the values of its parameters.
 type MakeTerm<const D: usize> = Arc<dyn Fn(&Values) -> Box<dyn Term<D>> + Send + Sync>;
 
-/// Makes a pair law from these values and the medium of the flow.
+/// Makes a pair law from these values and the fluid of the flow.
 type MakeLaw<const D: usize> = Arc<dyn Fn(&Values, Medium<D>) -> Box<dyn Model<D>> + Send + Sync>;
 
 #[derive(Clone)]
@@ -34,12 +34,12 @@ struct Guest<const D: usize> {
     make: Make<D>,
 }
 
-/// The code of all terms of a caller's own; scenes are compared, written and read without it.
+/// The code of all terms of a user; scenes are compared, written and read without it.
 #[derive(Clone, Default)]
 pub struct Guests {
     two: Vec<Guest<2>>,
     three: Vec<Guest<3>>,
-    /// Types of forces, of which each may be added several times.
+    /// Types of forces; each may be added several times.
     types: Vec<TypeId>,
 }
 
@@ -78,7 +78,7 @@ impl Guests {
     }
 }
 
-/// Puts a term's name before the names of its parameters, and the scene's values in place of its own.
+/// Prefixes the names of parameters with the term's name, and replaces their values by the scene's.
 pub(crate) fn named(
     term: &str,
     specs: impl IntoIterator<Item = ParameterSpec>,
@@ -93,7 +93,7 @@ pub(crate) fn named(
 }
 
 impl Scene {
-    /// Adds a force on each particle under a name; its parameters are learned as `name.parameter`.
+    /// Adds a force on each particle; its parameters are learned as `name.parameter`.
     pub fn add_force<F: ParticleForce>(&mut self, name: &str, force: F) {
         let number = self.guests.types.iter().filter(|id| **id == TypeId::of::<F>()).count();
         self.guests.types.push(TypeId::of::<F>());
@@ -114,7 +114,7 @@ impl Scene {
         add::<F, 3>(&mut self.guests, (name, number), force);
     }
 
-    /// Adds a central force between pairs of particles under a name, beside the forces of the scene's model; its
+    /// Adds a central force between pairs of particles to the forces of the scene's model; its
     /// parameters are learned as `name.parameter`.
     pub fn add_pair_law<F: CentralForce<P>, const P: usize>(&mut self, name: &str, force: F) {
         self.name_term(name, &force.parameters());
@@ -132,8 +132,8 @@ impl Scene {
         self.guests.push::<3>(name, three);
     }
 
-    /// Adds a pair law that is written by its traits, [`crate::models::PairLaw`] or [`Model`], in one dimension;
-    /// `make` takes the values that the scene's text gives to its parameters, and the medium.
+    /// Adds a pair law that implements [`crate::models::PairLaw`] or [`Model`], in one dimension;
+    /// `make` takes the parameter values in the scene's text, and the fluid.
     pub fn add_model<const D: usize>(
         &mut self,
         name: &str,
@@ -143,8 +143,8 @@ impl Scene {
         self.guests.push(name, Make::Law(Arc::new(make)));
     }
 
-    /// Adds a term that is written by its trait, in one dimension; `make` takes the values that the scene's text gives
-    /// to its parameters.
+    /// Adds a term that implements its trait, in one dimension; `make` takes the parameter values
+    /// in the scene's text.
     pub fn add_term<const D: usize>(
         &mut self,
         name: &str,
@@ -166,10 +166,10 @@ impl Scene {
         }
     }
 
-    /// The terms that the scene names, but for pair laws.
+    /// The terms that the scene names, without pair laws.
     ///
     /// # Errors
-    /// [`Error::Input`] for a term whose code was not added.
+    /// [`Error::Input`] for a term without added code.
     pub(crate) fn added_terms<const D: usize>(&self) -> Result<Vec<Box<dyn Term<D>>>> {
         let guests = self.guests.of::<D>();
         if let Some(missing) =

@@ -1,4 +1,4 @@
-//! The part of a scene that says what is learned, and how.
+//! The learning part of a scene.
 
 use crate::models::ModelChoice;
 use crate::parameters::Parameter;
@@ -6,22 +6,22 @@ use crate::sensitivity::{Coupling, Gradient, Storage};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What is learned, from what, and how.
+/// The settings of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Learn {
     /// The model that predicts; all of its network's weights are learned.
     #[serde(default)]
     pub model: ModelChoice,
-    /// The parameters to learn, by name: `c`, `alpha`, `beta`, `gamma`, `p0`, `theta`, and those of the scene's other
-    /// terms, such as `nu` of a laminar viscosity or `drag.k` of a term of the caller's own.
+    /// The parameters to learn, by name: `c`, `alpha`, `beta`, `gamma`, `p0`, `theta`, and those of
+    /// the scene's other terms, such as `nu` of a laminar viscosity or `drag.k` of a user's term.
     #[serde(default)]
     pub parameters: Vec<Parameter>,
-    /// Those of them that the search may take out of their domain: by default `c` and `gamma` stay positive, `alpha` and
-    /// `beta` zero or more.
+    /// Those of them that may leave their domain during the search. By default `c` and `gamma` stay
+    /// positive, `alpha` and `beta` nonnegative.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unbounded: Vec<Parameter>,
-    /// Where the search starts; drawn uniformly from `(0, 1)` for a parameter not named here.
+    /// The start of the search; parameters not named here are drawn uniformly from `(0, 1)`.
     #[serde(default)]
     pub guess: BTreeMap<String, f64>,
     /// Steps of the truth before the first observed state, from which the prediction starts.
@@ -35,32 +35,33 @@ pub struct Learn {
     /// Weights of the losses.
     #[serde(default)]
     pub loss: Weights,
-    /// Nodes of the field's mesh along each axis; as many as particles where it is not given.
+    /// Nodes of the field's mesh along each axis; by default the number of particles along each
+    /// axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<usize>,
     /// Which velocity increments the statistical loss compares, and how.
     #[serde(default)]
     pub increments: Increments,
-    /// How the gradient is found; all ways agree to round-off.
+    /// The mode of differentiation; all modes agree to round-off.
     #[serde(default)]
     pub gradient: Gradient,
-    /// What an adjoint keeps of the way forward.
+    /// What an adjoint keeps during the forward sweep.
     #[serde(default)]
     pub storage: Storage,
-    /// Which derivatives the sensitivities keep.
+    /// Which derivatives the sensitivities include.
     #[serde(default)]
     pub coupling: Coupling,
-    /// How the loss is brought down.
+    /// The optimiser.
     #[serde(default)]
     pub optimiser: Optimiser,
-    /// A search before this one, by another loss or optimiser; its end is where this one starts.
+    /// A search before this one, with another loss or optimiser; its end is the start of this one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_up: Option<WarmUp>,
-    /// Frames that count, stage by stage: a first short window makes the problem nearly linear.
-    /// The last stage is always all frames.
+    /// Number of frames of each stage: a short first window makes the problem nearly linear. The
+    /// last stage always has all frames.
     #[serde(default)]
     pub windows: Vec<usize>,
-    /// Most iterations, over all stages.
+    /// Number of iterations over all stages, maximum.
     #[serde(default = "defaults::iterations")]
     pub iterations: usize,
     /// The loss below which the search ends.
@@ -68,14 +69,14 @@ pub struct Learn {
     pub target: f64,
 }
 
-/// A search before the search, for losses that lead home only from nearby: same model, parameters and
-/// frames.
+/// A search before the search, for losses that converge only from nearby: same model, parameters
+/// and frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WarmUp {
     /// Weights of the losses.
     pub loss: Weights,
-    /// How the loss is brought down.
+    /// The optimiser.
     pub optimiser: Optimiser,
     /// As [`Learn::windows`].
     pub windows: Vec<usize>,
@@ -86,7 +87,7 @@ pub struct WarmUp {
 }
 
 impl Default for WarmUp {
-    /// The field loss, by Levenberg–Marquardt.
+    /// The field loss, with Levenberg–Marquardt.
     fn default() -> Self {
         Self {
             loss: Weights::default(),
@@ -98,7 +99,7 @@ impl Default for WarmUp {
     }
 }
 
-/// Weights of the losses; one at zero is not computed.
+/// Weights of the losses; a loss of weight zero is not computed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {
@@ -106,7 +107,7 @@ pub struct Weights {
     pub trajectory: f64,
     /// Of the field loss.
     pub field: f64,
-    /// Of the statistical loss, which is no sum of squares.
+    /// Of the statistical loss, which is not a sum of squares.
     pub kl: f64,
 }
 
@@ -116,7 +117,7 @@ impl Default for Weights {
     }
 }
 
-/// What the statistical loss compares: velocity increments `δu(τ) = u(τ) − u(0)`.
+/// The settings of the statistical loss of velocity increments `δu(τ) = u(τ) − u(0)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Increments {
@@ -127,13 +128,13 @@ pub struct Increments {
 }
 
 impl Default for Increments {
-    /// The paper's: the last time, 200 nodes.
+    /// As in the paper: the last time, 200 nodes.
     fn default() -> Self {
         Self { times: Times::Last, nodes: 200 }
     }
 }
 
-/// The times of which increments count.
+/// The times at which increments count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Times {
@@ -145,7 +146,7 @@ pub enum Times {
 }
 
 impl Learn {
-    /// Steps from the first state to the last that is observed.
+    /// Number of steps from the first state to the last observed one.
     pub fn steps(&self) -> u64 {
         self.frames as u64 * self.every
     }
@@ -159,19 +160,19 @@ impl Learn {
     }
 }
 
-/// How the loss is brought down.
+/// The optimiser.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
 pub enum Optimiser {
-    /// Second order on the residuals: few iterations, few parameters.
+    /// Second order in the residuals: few iterations, for few parameters.
     LevenbergMarquardt {
-        /// First damping, relative to the diagonal of the normal matrix.
+        /// Initial damping, relative to the diagonal of the normal matrix.
         #[serde(default = "defaults::damping")]
         damping: f64,
     },
     /// Curvature from the last gradients (limited-memory BFGS): for networks and statistical losses.
     Lbfgs {
-        /// How many gradients are remembered.
+        /// Number of stored gradients.
         #[serde(default = "defaults::memory")]
         memory: usize,
         /// Length of the very first step.

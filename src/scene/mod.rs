@@ -1,7 +1,8 @@
-//! Scenes: everything that defines a run, as typed values that a TOML file spells out.
+//! Scenes: the complete definition of a run, as typed values of a TOML file.
 //!
-//! A misspelt key, a wrong type or an impossible number is refused with file, line, what was expected
-//! and what to do. The shipped scenes are compiled in; [`Scene::shipped`] finds them by name.
+//! A misspelt key, a wrong type or an impossible number is refused with file, line, what was
+//! expected and what to do. The shipped scenes are compiled in; [`Scene::shipped`] finds them by
+//! name.
 
 mod accuracy;
 mod check;
@@ -35,54 +36,55 @@ use std::collections::BTreeMap;
 pub struct Scene {
     /// Name, also of the recording it writes.
     pub name: String,
-    /// What it shows, in a sentence.
+    /// Its description in a sentence.
     #[serde(default)]
     pub about: String,
     /// Number of space dimensions, 2 or 3.
     pub dimension: usize,
-    /// Seed of everything random: initial state, forcing and guess each draw from a stream of it.
+    /// Seed of all random numbers: initial state, forcing and guess each draw from a stream of it.
     #[serde(default)]
     pub seed: u64,
-    /// What pairs of particles are evaluated in.
+    /// The precision in which pairs are evaluated.
     #[serde(default)]
     pub precision: Precision,
-    /// How far particles may be from a much finer run after twenty steps, in smoothing lengths (root mean
-    /// square): kind of step and time step are then chosen, see [`crate::trade::settle`].
+    /// Requested accuracy: distance of particles from a much finer run after twenty steps, in
+    /// smoothing lengths (root mean square). Kind of step and time step are then chosen, see
+    /// [`crate::trade::settle`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<f64>,
     /// The same by name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<Speed>,
-    /// What was chosen, where something was: written by the run, not by hand.
+    /// The chosen step, if any: written by the run, not by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen: Option<Chosen>,
     /// The fluid and its law.
     pub fluid: Fluid,
-    /// Where particles start.
+    /// The initial state.
     #[serde(default)]
     pub initial: Initial,
-    /// What happens before the first step.
+    /// A run before the first step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spin_up: Option<SpinUp>,
-    /// What stirs the flow.
+    /// The forcing.
     #[serde(default)]
     pub forcing: Forcing,
-    /// Terms of a caller's own by name, with the values of their parameters; their code is added by
-    /// [`Scene::add_force`] and its like.
+    /// A user's terms by name, with the values of their parameters; their code is added by
+    /// [`Scene::add_force`] and similar functions.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub terms: BTreeMap<String, Values>,
     /// Their code.
     #[serde(skip)]
     pub guests: Guests,
-    /// How time passes.
+    /// The time integration.
     pub time: Time,
-    /// What is learned; a scene without it only simulates.
+    /// The training; a scene without it only simulates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learn: Option<Learn>,
     /// What is recorded.
     #[serde(default)]
     pub record: Record,
-    /// When a run counts as failed.
+    /// Limits beyond which a run fails.
     #[serde(default)]
     pub limits: Limits,
 }
@@ -112,7 +114,7 @@ pub struct Fluid {
     /// Laminar viscosity, beside the artificial one of `alpha` and `beta`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub viscosity: Option<LaminarViscosity>,
-    /// Background pressure `p₀`, added to that of the equation of state.
+    /// Background pressure `p₀`, added to the equation of state.
     #[serde(default, skip_serializing_if = "defaults::is_zero")]
     pub p0: f64,
 }
@@ -125,17 +127,18 @@ impl Fluid {
     }
 }
 
-/// The initial state: a lattice with its first particle in the corner, shaken, and the velocities of a
-/// field at the places where that puts the particles.
+/// The initial state: a lattice with its first particle in the corner, perturbed, and the
+/// velocities of a field at the perturbed positions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
-    /// Each coordinate is moved by a uniform number in `±jitter`.
+    /// Perturbation: each coordinate is moved by a uniform random number in `±jitter`.
     pub jitter: f64,
-    /// Amplitude of the velocity field: width of the normal distribution, largest velocity `U` of
-    /// Taylor–Green, factor on the ABC flow, rms `u'` of one component of the random solenoidal field.
+    /// Amplitude of the velocity field: standard deviation of the normal distribution, largest
+    /// velocity `U` of Taylor–Green, factor on the ABC flow, rms `u'` of one component of the
+    /// random solenoidal field.
     pub velocity: f64,
-    /// The velocity field, [`crate::flow::initial`]: a table, or its name alone.
+    /// The velocity field, [`crate::flow::initial`]: a table, or only its name.
     #[serde(
         skip_serializing_if = "Field::is_default",
         deserialize_with = "Field::by_table_or_name"
@@ -144,32 +147,32 @@ pub struct Initial {
 }
 
 impl Default for Initial {
-    /// The paper's: jitter 0.0025, normal velocities of unit width.
+    /// As in the paper: jitter 0.0025, normal velocities of unit standard deviation.
     fn default() -> Self {
         Self { jitter: 0.0025, velocity: 1.0, field: Field::default() }
     }
 }
 
-/// A run before the run, stirred in a way of its own, so that the flow begins developed: step zero is
-/// its end.
+/// A run before the run, with its own forcing, so that the flow starts developed: its end is step
+/// zero.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpinUp {
-    /// Steps of it.
+    /// Number of steps.
     pub steps: u64,
-    /// What stirs it.
+    /// Its forcing.
     pub forcing: Forcing,
 }
 
-/// What stirs the flow.
+/// The forcing.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
 pub enum Forcing {
-    /// Nothing.
+    /// No forcing.
     #[default]
     #[serde(deserialize_with = "nothing_beside")]
     None,
-    /// Energy at a fixed rate, [`crate::forcing::EnergyInjection`].
+    /// Energy injection at a constant rate, [`crate::forcing::EnergyInjection`].
     Deterministic {
         /// Power `θ`.
         theta: f64,
@@ -185,9 +188,10 @@ pub enum Forcing {
         #[serde(default = "defaults::one")]
         strength: f64,
     },
-    /// Random large-scale waves with a memory, [`crate::forcing::ornstein_uhlenbeck`].
+    /// Random large-scale waves with a correlation time, [`crate::forcing::ornstein_uhlenbeck`].
     OrnsteinUhlenbeck {
-        /// Power per unit mass `P` into a flow whose large eddies live longer than the correlation time.
+        /// Power per unit mass `P`, for a flow in which large eddies live longer than the
+        /// correlation time.
         power: f64,
         /// Correlation time `T`.
         correlation_time: f64,
@@ -197,24 +201,24 @@ pub enum Forcing {
     },
 }
 
-/// How time passes.
+/// The time integration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Time {
     /// Kind of step.
     #[serde(default)]
     pub step: Step,
-    /// The time step; `courant · h/c` where it is not given.
+    /// The time step; by default `courant · h/c`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dt: Option<f64>,
     /// Courant number of the time step.
     #[serde(default = "defaults::courant")]
     pub courant: f64,
-    /// Steps that `simulate` runs.
+    /// Number of steps of `simulate`.
     #[serde(default = "defaults::steps")]
     pub steps: u64,
-    /// How far the neighbour lists reach beyond the support, in units of `h`: speed only.
-    /// [`Scene::usual_skin`] where a scene's text does not give it.
+    /// How much farther than the support the neighbour lists reach, in units of `h`; it affects
+    /// only the speed. The default is [`Scene::usual_skin`].
     #[serde(default)]
     pub skin: f64,
 }
@@ -223,12 +227,12 @@ pub struct Time {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Record {
-    /// Every how many steps a frame is kept; 0 keeps none.
+    /// Number of steps between two recorded frames; 0 records none.
     pub every: u64,
-    /// With every how many frames it is also said what each system does to momentum, which takes two force
-    /// evaluations; 0 never says it.
+    /// Number of recorded frames between two records of each system's rate of momentum, which take
+    /// two force evaluations; 0 records none.
     pub momentum_every: u64,
-    /// Speed at the bright end of the colour scale; twice the initial velocity where it is 0.
+    /// Speed at the bright end of the colour scale; 0 means twice the initial velocity.
     pub speed_scale: f64,
 }
 
@@ -239,12 +243,12 @@ impl Default for Record {
 }
 
 impl Record {
-    /// Whether a step is kept.
+    /// Whether a step is recorded.
     pub fn keeps(&self, step: u64) -> bool {
         self.every > 0 && step.is_multiple_of(self.every)
     }
 
-    /// Whether it is said of a step that is kept what each system does to momentum.
+    /// Whether a recorded step has the rate of momentum of each system.
     pub fn splits_momentum(&self, step: u64) -> bool {
         self.keeps(step)
             && self.momentum_every > 0
@@ -252,7 +256,7 @@ impl Record {
     }
 }
 
-/// Reads what stands beside a `kind` that has no keys of its own: nothing.
+/// Reads the other keys of a `kind` that has none, and refuses any.
 pub(crate) fn nothing_beside<'de, R: serde::Deserializer<'de>>(
     reader: R,
 ) -> std::result::Result<(), R::Error> {
@@ -286,10 +290,10 @@ mod defaults {
 }
 
 impl Scene {
-    /// What the scene learns.
+    /// The training settings.
     ///
     /// # Errors
-    /// [`Error::Input`] where it learns nothing.
+    /// [`Error::Input`] for a scene that learns nothing.
     pub fn learning(&self) -> Result<&Learn> {
         self.learn.as_ref().ok_or_else(|| {
             Error::input(
@@ -301,12 +305,12 @@ impl Scene {
         })
     }
 
-    /// The model that the scene learns; that of the truth where it learns nothing.
+    /// The model that the scene learns; without a training, that of the truth.
     pub fn model(&self) -> ModelChoice {
         self.learn.as_ref().map(|learn| learn.model.clone()).unwrap_or_default()
     }
 
-    /// The scene of the warm-up, where there is one: this one with the warm-up's search.
+    /// The scene of the warm-up, if there is one: this one with the search of the warm-up.
     pub fn warm_up(&self) -> Option<Self> {
         let mut scene = self.clone();
         let learn = scene.learn.as_mut()?;
@@ -318,7 +322,7 @@ impl Scene {
         Some(scene)
     }
 
-    /// The scene of the spin-up, where there is one: this one with the spin-up's forcing.
+    /// The scene of the spin-up, if there is one: this one with the forcing of the spin-up.
     pub fn before_start(&self) -> Option<(Self, u64)> {
         let mut scene = self.clone();
         let SpinUp { steps, forcing } = scene.spin_up.take()?;
@@ -336,18 +340,19 @@ impl Scene {
         self.fluid.box_length.powi(self.dimension as i32) / self.particles() as f64
     }
 
-    /// The skin of a scene that does not say one, in units of `h`: 0.26 particle spacings in three
-    /// dimensions, 0.2 in two.
+    /// The default skin of a scene, in units of `h`: 0.26 particle spacings in three dimensions,
+    /// 0.2 in two.
     ///
-    /// Neighbours part by some tenth of a spacing in a step, so that lists serve two or three; a longer
-    /// skin costs every density more than it saves builds. `tests/measure/README.md` has the times.
+    /// Neighbours separate by about a tenth of a spacing per step, so that lists are valid for two
+    /// or three steps. A larger skin costs more in every density than it saves in rebuilds;
+    /// `tests/measure/README.md` has the times.
     pub fn usual_skin(&self) -> f64 {
         let spacing = self.fluid.box_length / self.fluid.particles_per_side as f64;
         let spacings = if self.dimension == 3 { 0.26 } else { 0.2 };
         spacings * spacing / self.fluid.smoothing_length
     }
 
-    /// The time step: where it is not given, `courant · h/c`, or `h²/8ν` of a laminar viscosity where that is less
+    /// The time step: by default `courant · h/c`, or `h²/8ν` of a laminar viscosity if that is less
     /// (Morris, Fox & Zhu 1997).
     pub fn dt(&self) -> f64 {
         let h = self.fluid.smoothing_length;
@@ -356,8 +361,8 @@ impl Scene {
         self.time.dt.unwrap_or(if nu > 0.0 { acoustic.min(0.125 * h * h / nu) } else { acoustic })
     }
 
-    /// The parameters that make the truth, but for weights: those of the fluid, of the forcing and of the terms that the
-    /// scene names.
+    /// The parameters of the truth, without weights: those of the fluid, of the forcing and of the
+    /// scene's terms.
     pub fn parameters(&self) -> Parameters {
         let mut specs = self.fluid.constants().specs().to_vec();
         specs.extend(self.fluid.kernel.specs());
@@ -371,7 +376,7 @@ impl Scene {
             };
             specs.extend(values.iter().map(own));
         }
-        // One owner cannot disagree with itself.
+        // A single owner cannot give a parameter two values.
         Parameters::merged(&[specs]).map(|(all, _)| all).unwrap_or_default()
     }
 }

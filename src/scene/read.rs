@@ -1,4 +1,4 @@
-//! From TOML text, shipped or from a file, with overrides, to a checked [`Scene`].
+//! Reads a [`Scene`] from TOML text, shipped or from a file, with overrides, and checks it.
 
 use super::Scene;
 use crate::error::{Error, Result};
@@ -11,13 +11,13 @@ use toml::{Table, Value};
 pub struct Shipped {
     /// Its name.
     pub name: &'static str,
-    /// The text that it shares with others of its kind.
+    /// The text that it shares with similar scenes.
     pub text: &'static str,
-    /// What is its own, as `--set` would say it.
+    /// Its own keys, in the notation of `--set`.
     pub overrides: &'static [&'static str],
 }
 
-/// The scenes of one dimension of the hierarchy: the paper's table.
+/// The scenes of one dimension of the hierarchy, as in the paper's table.
 macro_rules! hierarchy {
     ($text:literal: $($name:literal $overrides:expr;)*) => {
         [$(Shipped { name: $name, text: include_str!($text), overrides: &$overrides }),*]
@@ -34,13 +34,14 @@ const INVERSE: [Shipped; 3] = [
     Shipped { name: "inverse-2d", text: include_str!("shipped/inverse-2d.toml"), overrides: &[] },
 ];
 
-/// A statistical loss leads `c, α, β, γ` home only from nearby: the field loss goes first.
+/// Override with a warm-up by the field loss: the statistical loss converges for `c, α, β, γ` only
+/// from nearby.
 const FIELD_FIRST: &str = "learn.warm_up={windows=[1,3],iterations=8}";
 
-/// What the physics of the hierarchy learns.
+/// Override with the learned parameters of the physical model.
 const PHYSICAL: &str = "learn.parameters=['c','alpha','beta','gamma']";
 
-/// Its search comes home sooner when it may pass below zero.
+/// Override with the unbounded parameters: its search converges faster if they may become negative.
 const UNBOUNDED: &str = "learn.unbounded=['alpha','beta','gamma']";
 
 const HIERARCHY_3D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-3d.toml":
@@ -125,7 +126,7 @@ impl Scene {
         Self::assigned(text, None, (origin, overrides))
     }
 
-    /// The scene of a text, with what a shipped scene has of its own and what the caller says.
+    /// The scene of a text, with the overrides of a shipped scene and of the caller.
     fn assigned(
         text: &str,
         shipped: Option<&Shipped>,
@@ -142,7 +143,7 @@ impl Scene {
             assign(&mut table, assignment)?;
         }
         if !(own.is_empty() && overrides.is_empty()) {
-            // Written out again, so that an error can quote the line as it now reads.
+            // Serialised again, so that an error can quote the current line.
             text = table.to_string();
         }
         if !overrides.is_empty() {
@@ -190,13 +191,13 @@ fn refused(origin: &str, text: &str, error: &toml::de::Error) -> Error {
     Error::input(place, "a scene as the manual describes it", message, "correct this line")
 }
 
-/// The key that a message calls unknown.
+/// The key in a message about an unknown key.
 fn unknown_key(message: &str) -> Option<&str> {
     message.strip_prefix("unknown field `")?.split('`').next()
 }
 
-/// The line of a mistake, counted from zero: that of the place or, in a table that begins there, of the key that it
-/// should not have.
+/// The line of an error, counted from zero: the error's own or, in a table that begins there, that
+/// of the unknown key.
 fn line_of(text: &str, place: usize, key: Option<&str>) -> usize {
     let first = text[..place.min(text.len())].matches('\n').count();
     let begins = |line: &str| {
@@ -208,7 +209,8 @@ fn line_of(text: &str, place: usize, key: Option<&str>) -> usize {
     lines.find(|(_, line)| begins(line)).map_or(first, |(k, _)| first + k)
 }
 
-/// Puts `key=value` into a table, value as TOML where it is TOML and as text otherwise.
+/// Sets `key=value` in a table, where the value is parsed as TOML if possible and is text
+/// otherwise.
 fn assign(table: &mut Table, assignment: &str) -> Result<()> {
     let Some((key, value)) = assignment.split_once('=') else {
         return Err(Error::input(

@@ -1,11 +1,11 @@
-//! How particles and pairs of particles drift away from where they were.
+//! Dispersion: displacements of particles and of pairs of particles.
 
 use crate::cells::Cells;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
-/// Pairs `i < j` closer than `reach` (at most a quarter of the box), in ascending order: whom to follow
-/// for [`pair_dispersion`].
+/// Pairs `i < j` closer than `reach` (at most a quarter of the box), in ascending order, to be
+/// followed by [`pair_dispersion`].
 pub fn close_pairs<const D: usize>(
     positions: &[Vector<f64, D>],
     space: PeriodicBox,
@@ -30,7 +30,7 @@ pub fn close_pairs<const D: usize>(
     pairs
 }
 
-/// `⟨|Δr(t) − Δr(0)|²⟩` of pairs, `Δr` their separation: from one state to a later one.
+/// `⟨|Δr(t) − Δr(0)|²⟩` of pairs with separation `Δr`, from one state to a later one.
 ///
 /// `travelled` are the displacements `r(t) − r(0)` of all particles, not wrapped into the box
 /// ([`Displacement`]).
@@ -42,8 +42,8 @@ pub fn pair_dispersion<const D: usize>(
     pairs.iter().map(grown).sum::<f64>() / pairs.len() as f64
 }
 
-/// Follows particles through the periodic box, from state to state: no particle may travel half the box
-/// between two states.
+/// Follows particles through the periodic box from state to state. No particle may move by half the
+/// box between two states.
 #[derive(Clone, Debug)]
 pub struct Displacement<const D: usize> {
     space: PeriodicBox,
@@ -52,13 +52,13 @@ pub struct Displacement<const D: usize> {
 }
 
 impl<const D: usize> Displacement<D> {
-    /// From the positions of a first state.
+    /// Starts from the positions of a first state.
     pub fn new(space: PeriodicBox, positions: &[Vector<f64, D>]) -> Self {
         let travelled = vec![Vector::zero(); positions.len()];
         Self { space, last: positions.to_vec(), travelled }
     }
 
-    /// The next state.
+    /// Adds the next state.
     pub fn follow(&mut self, positions: &[Vector<f64, D>]) {
         let rows = self.travelled.iter_mut().zip(&mut self.last).zip(positions);
         for ((travelled, last), &now) in rows {
@@ -116,7 +116,8 @@ mod tests {
         assert!(pair_dispersion(&pairs, displacement.travelled()) < 1e-20);
     }
 
-    /// In `v = a r` separations grow as `e^{at}`, so `⟨|Δr(t) − Δr(0)|²⟩ = (e^{at} − 1)² ⟨|Δr(0)|²⟩`.
+    /// In `v = a r` separations grow as `e^{at}`, so that
+    /// `⟨|Δr(t) − Δr(0)|²⟩ = (e^{at} − 1)² ⟨|Δr(0)|²⟩`.
     #[test]
     fn a_uniform_strain_parts_pairs_as_its_formula_says() {
         let space = PeriodicBox { length: 100.0 };

@@ -37,7 +37,7 @@ mod tests {
         let normal: Vec<f64> =
             (0..count).map(|_| 2.0 + 0.5 * generator.sample::<f64, _>(StandardNormal)).collect();
         let moments = Moments::of(normal.iter().copied());
-        // The flatness of n normal samples scatters by √(24/n).
+        // The flatness of n normal samples has a standard deviation of √(24/n).
         let scatter = (24.0 / f64::from(count)).sqrt();
         assert!((moments.flatness - 3.0).abs() < 5.0 * scatter, "{moments:?}");
         assert!((moments.mean - 2.0).abs() < 0.005 && (moments.variance - 0.25).abs() < 0.005);

@@ -1,4 +1,4 @@
-//! What is measured of a flow: what it keeps, and what each system gives away.
+//! Measured quantities of a flow: conserved quantities, and the contribution of each system.
 
 mod dispersion;
 mod increments;
@@ -24,17 +24,17 @@ use rayon::prelude::*;
 pub struct MomentumRates<const D: usize> {
     /// Of every part of every term.
     pub contributions: Vec<Contribution<D>>,
-    /// Of the pressure, or of what a model has learned in its place: the first part of the model.
+    /// Of the pressure, or of the learned function in its place: the first part of the model.
     pub pressure: Vector<f64, D>,
     /// Of the viscosity: the second part of the model, and the pair laws added to it.
     pub viscosity: Vector<f64, D>,
     /// Of the forces on each particle.
     pub forcing: Vector<f64, D>,
-    /// `Σ m |a|` of all: what round-off is measured against.
+    /// `Σ m |a|` of all, with which round-off is compared.
     pub scale: f64,
 }
 
-/// `Σ m a` of every term as the cloud stands, by the laws that move the particles, part by part.
+/// `Σ m a` of every term at the current state, part by part.
 pub(crate) fn momentum_rates<const D: usize>(flow: &Flow<D>) -> MomentumRates<D> {
     let mut rates = MomentumRates::default();
     for term in flow.terms() {
@@ -59,7 +59,8 @@ pub fn momentum<const D: usize>(mass: f64, velocities: &[Vector<f64, D>]) -> Vec
     sum * mass
 }
 
-/// The time in which the largest eddies turn: `L/2π` over the root-mean-square of a component of `v − v̄`.
+/// The turnover time of the largest eddies: `L/2π` divided by the root mean square of a component
+/// of `v − v̄`.
 pub fn eddy_time<const D: usize>(velocities: &[Vector<f64, D>], box_length: f64) -> f64 {
     let count = velocities.len() as f64;
     let mean = momentum(1.0 / count, velocities);
@@ -67,8 +68,8 @@ pub fn eddy_time<const D: usize>(velocities: &[Vector<f64, D>], box_length: f64)
     box_length / (std::f64::consts::TAU * (square / (count * D as f64)).sqrt())
 }
 
-/// The largest difference of a flow's pressure from Tait's with these constants, over the densities from
-/// `lowest` to `highest`, as a share of the largest pressure there.
+/// The largest difference of a flow's pressure from Tait's with these constants, over densities
+/// from `lowest` to `highest`, divided by the largest pressure there.
 pub fn pressure_error<const D: usize>(
     flow: &Flow<D>,
     fluid: &FluidConstants,
@@ -85,13 +86,13 @@ pub fn pressure_error<const D: usize>(
     apart / largest
 }
 
-/// Everything that `/diag/conservation` records of a flow as it stands.
+/// The record `/diag/conservation` of a flow's current state.
 pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
     conservation_of(flow, &flow.rows(), true)
 }
 
-/// The same of a flow whose rows are at hand; what each system does to momentum, which takes force
-/// evaluations, only where that is asked for.
+/// The same for given rows. The momentum rates of each system, which need force evaluations, are
+/// included only if requested.
 pub(crate) fn conservation_of<const D: usize>(
     flow: &Flow<D>,
     rows: &Rows<'_, D>,
@@ -123,7 +124,7 @@ pub(crate) fn conservation_of<const D: usize>(
     }
 }
 
-/// What is summed over particles in one pass, chunk by chunk, so that the sums do not depend on threads.
+/// Sums over particles in one pass, chunk by chunk, so that they do not depend on threads.
 #[derive(Clone, Copy, Debug)]
 struct Sums<const D: usize> {
     /// `Σ v`.

@@ -9,7 +9,7 @@ use rustfft::num_complex::Complex;
 /// `k − ½ ≤ |κ| < k + ½`, wavenumbers in units of `2π/L`, with
 /// `û(κ) = n⁻ᴰ Σₓ u(x) e^{−iκ·x}` on `nᴰ` nodes.
 ///
-/// Entry `k` is shell `k`; their sum is `½⟨|u|²⟩` (Parseval). Shells beyond `n/2` are not whole.
+/// Entry `k` is shell `k`; their sum is `½⟨|u|²⟩` (Parseval). Shells beyond `n/2` are incomplete.
 pub fn energy_spectrum<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>]) -> Vec<f64> {
     let n = mesh.per_axis;
     // The longest wave vector has n/2 along every axis.

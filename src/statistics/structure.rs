@@ -17,7 +17,7 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// Every moment times a factor.
+    /// Multiplies every moment by a factor.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let Self { distance, second, third, transverse } = *self;
@@ -37,7 +37,8 @@ impl Structure {
     }
 }
 
-/// Structure functions at one node's distance, two, … up to half the box, over all nodes and axes.
+/// Structure functions at distances of one node, two, … up to half the box, over all nodes and
+/// axes.
 pub fn structure_functions<const D: usize>(
     mesh: &Mesh<D>,
     field: &[Vector<f64, D>],
@@ -93,15 +94,15 @@ mod tests {
         let field: Vec<Vector<f64, 3>> =
             (0..mesh.len()).map(|node| Vector([mesh.node(node)[0].sin(), 0.0, 0.0])).collect();
         for s in structure_functions(&mesh, &field) {
-            // A sum of five thousand terms of order one.
+            // Round-off of a sum of five thousand terms of order one.
             assert!((s.second - (1.0 - s.distance.cos()) / 3.0).abs() < 1e-13, "{s:?}");
             assert!(s.third.abs() < 1e-14 && s.transverse.abs() < 1e-14);
         }
     }
 
-    /// A solid rotation `v = Ω × r` about the box's middle changes no distance, so `S₂` is zero, and
-    /// across a separation `r` in its plane the difference is `Ωr`; a share `r/L` of the pairs along each
-    /// axis reaches over the edge of the box, where it is `Ω(r − L)`.
+    /// A solid rotation `v = Ω × r` about the middle of the box changes no distance, so that `S₂`
+    /// is zero. Across a separation `r` in its plane the difference is `Ωr`; for a share `r/L` of
+    /// the pairs along each axis, which cross the boundary of the box, it is `Ω(r − L)`.
     #[test]
     fn a_solid_rotation_has_the_structure_functions_of_its_formula() {
         let (length, omega) = (2.0, 1.5);

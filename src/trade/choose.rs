@@ -1,4 +1,4 @@
-//! Ask for accuracy: the cheapest step that a short calibration shows to meet it.
+//! Chooses the cheapest step that meets a requested accuracy in a short calibration.
 
 use super::flows::End;
 use crate::error::{Error, Result};
@@ -6,16 +6,16 @@ use crate::flow::State;
 use crate::scene::{Chosen, Scene};
 use crate::systems::verlet::Step;
 
-/// Steps of the scene over which steps are compared.
+/// Length of the calibration, in steps of the scene.
 pub const CALIBRATION: u64 = 20;
 
-/// How much finer the steps of the reference are: four times the finest that is tried.
+/// Refinement of the reference's time step: four times the finest step that is tried.
 const FINER: u64 = 32;
 
 /// The kinds of step that are tried.
 const STEPS: [Step; 3] = [Step::KickDriftKick, Step::OneForce, Step::Paper];
 
-/// How much finer, and how much longer, their steps are than the scene's own.
+/// Refinement and coarsening of the time steps that are tried, relative to the scene's own.
 const PACES: [(u64, u64); 6] = [(1, 4), (1, 2), (1, 1), (2, 1), (4, 1), (8, 1)];
 
 /// A step that was tried.
@@ -25,24 +25,24 @@ pub struct Trial {
     pub step: Step,
     /// Its length.
     pub dt: f64,
-    /// Force evaluations for the same stretch of flow, over those of the scene as it is written.
+    /// Number of force evaluations per time, divided by that of the scene as written.
     pub cost: f64,
-    /// Root-mean-square distance of particles from the reference after the calibration, over the
-    /// smoothing length; not a number where the flow did not hold.
+    /// Root-mean-square distance of particles from the reference after the calibration, divided by
+    /// the smoothing length; NaN where the flow diverged.
     pub error: f64,
 }
 
-/// The scene that runs, and why.
+/// The chosen scene, and the reason.
 #[derive(Clone, Debug)]
 pub struct Choice {
-    /// The scene with the step that was chosen for it, and with [`Scene::chosen`] to say so.
+    /// The scene with the chosen step, which [`Scene::chosen`] describes.
     pub scene: Scene,
-    /// What was tried, cheapest first: nothing dearer than the first that met what was asked.
+    /// The steps that were tried, cheapest first, up to the first that meets the accuracy.
     pub trials: Vec<Trial>,
 }
 
-/// A scene ready to run: the scene itself where it asks for nothing, or where something was chosen for it
-/// before; otherwise with a step chosen from the state that `start` makes of the scene as it is written.
+/// A scene that can run: the scene itself if it requests no accuracy, or if a step was chosen
+/// before; otherwise with a step chosen from the state that `start` makes of the scene as written.
 ///
 /// ```
 /// use whirls::trade::settle;
@@ -69,17 +69,17 @@ pub fn settle<const D: usize>(
     }
 }
 
-/// The scene with the cheapest step whose particles are, after twenty of its own steps from a state,
+/// The scene with the cheapest step for which particles are, after twenty steps of the scene,
 /// within `accuracy` smoothing lengths (root mean square) of a reference in steps 32 times finer.
 ///
-/// Flows move by the scene's own law. Cost is counted in force evaluations, not in seconds of the day, so
-/// that equal scenes choose equally. A step is tried only where everything that the scene counts in steps,
-/// from the spin-up to the observed frames, still happens at the same times. In a chaotic flow errors
-/// grow with time: what is asked for holds over the calibration.
+/// Flows use the scene's own law. Costs are counted in force evaluations, not in seconds, so that
+/// equal scenes give equal choices. A step is tried only if everything that the scene counts in
+/// steps, from the spin-up to the observed frames, still happens at the same times. In a chaotic
+/// flow errors grow with time: the accuracy holds over the calibration only.
 ///
 /// # Errors
-/// [`Error::Input`] where no step that is tried is that accurate; [`Error::Diverged`] where the
-/// reference does not hold.
+/// [`Error::Input`] where no step that is tried meets the accuracy; [`Error::Diverged`] where the
+/// reference diverges.
 pub fn choose<const D: usize>(scene: &Scene, state: &State<D>, accuracy: f64) -> Result<Choice> {
     let own = scene.as_written();
     let mut fine = own.clone();
@@ -112,14 +112,14 @@ pub fn choose<const D: usize>(scene: &Scene, state: &State<D>, accuracy: f64) ->
     }
 }
 
-/// A step to try: the scene with it, the steps of its calibration, its cost.
+/// A step to try: the scene with it, the number of its calibration steps, its cost.
 struct Candidate {
     scene: Scene,
     steps: u64,
     cost: f64,
 }
 
-/// Everything that is tried, cheapest first.
+/// All steps to try, cheapest first.
 fn candidates(own: &Scene) -> Vec<Candidate> {
     let mut all = Vec::new();
     for (finer, longer) in PACES {
@@ -152,7 +152,7 @@ fn unmet(own: &Scene, accuracy: f64, trials: &[Trial]) -> Error {
     )
 }
 
-/// Force evaluations in a step.
+/// Number of force evaluations in a step.
 fn evaluations(step: Step) -> f64 {
     if step.refreshes() { 2.0 } else { 1.0 }
 }
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(read, first.scene);
     }
 
-    /// Nobody gets less than was asked for by going past the calibration.
+    /// The accuracy must hold at the end of the calibration.
     #[test]
     fn no_flow_runs_before_its_step_is_chosen() {
         let (scene, state) = small(&["accuracy=1e-2"]);

@@ -13,36 +13,36 @@ use crate::truth::velocity_field;
 use crate::vector::Vector;
 use std::time::Instant;
 
-/// How much finer the steps of the reference are.
+/// Refinement of the reference's time step.
 pub const FINER: u32 = 16;
 
-/// How far a flow is from the reference, at the end.
+/// Distances of a flow from the reference, at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowErrors {
-    /// Root-mean-square distance of particles, over the smoothing length.
+    /// Root-mean-square distance of particles, divided by the smoothing length.
     pub trajectory: f64,
-    /// Root-mean-square difference of the smoothed velocity field, over that of the field.
+    /// Root-mean-square difference of the smoothed velocity field, divided by that of the field.
     pub field: f64,
-    /// Difference of the total energy, over the energy.
+    /// Difference of the total energy, divided by the energy.
     pub energy: f64,
-    /// Drift of the momentum, over `Σ m|v|`.
+    /// Drift of the momentum, divided by `Σ m|v|`.
     pub momentum: f64,
 }
 
 impl FlowErrors {
-    /// Of a flow that did not come to its end.
+    /// Of a flow that diverged.
     const LOST: Self =
         Self { trajectory: f64::NAN, field: f64::NAN, energy: f64::NAN, momentum: f64::NAN };
 }
 
-/// What a setting costs, and what it is worth.
+/// Costs and errors of a setting.
 #[derive(Clone, Debug)]
 pub struct FlowPrice {
     /// The setting.
     pub setting: Setting,
     /// Time of one step, in nanoseconds per particle.
     pub step_ns: f64,
-    /// Time for the same stretch of flow, over that of the scene's own setting.
+    /// Time for the same simulated time, divided by that of the scene's own setting.
     pub cost: f64,
     /// Memory, in bytes per particle.
     pub bytes: f64,
@@ -54,10 +54,10 @@ pub struct FlowPrice {
     pub diverged: Option<u64>,
 }
 
-/// Prices every setting of a flow from a state; `tick` is called behind each.
+/// Measures every setting of a flow from a state; `tick` is called after each.
 ///
 /// # Errors
-/// [`crate::Error::Diverged`] where the reference or the scene's own setting does not hold.
+/// [`crate::Error::Diverged`] where the reference or the scene's own setting diverges.
 pub fn price_flows<const D: usize>(
     scene: &Scene,
     state: &State<D>,
@@ -75,12 +75,12 @@ pub fn price_flows<const D: usize>(
     Ok(prices)
 }
 
-/// Number of settings, and the reference.
+/// Number of settings, plus one for the reference.
 pub(super) fn work(scene: &Scene) -> u64 {
     of_flow(scene).len() as u64 + 1
 }
 
-/// The scene in the steps of the reference, of second order.
+/// The scene with the steps of the reference, of second order.
 pub fn fine(scene: &Scene) -> Scene {
     let mut fine = scene.clone();
     fine.time.step = Step::KickDriftKick;
@@ -122,7 +122,8 @@ fn price<const D: usize>(
     })
 }
 
-/// Root-mean-square distance of the particles of two states, over the scene's smoothing length.
+/// Root-mean-square distance between the particles of two states, divided by the scene's smoothing
+/// length.
 pub fn distance<const D: usize>(scene: &Scene, a: &State<D>, b: &State<D>) -> f64 {
     let space = PeriodicBox { length: scene.fluid.box_length };
     let places = a.positions.iter().zip(&b.positions);

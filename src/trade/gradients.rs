@@ -1,4 +1,4 @@
-//! The price of a gradient: way, storage, coupling, mesh, nodes, frames, height.
+//! The price of a gradient: mode, storage, coupling, mesh, nodes, frames, height.
 
 use super::knobs::of_gradient;
 use super::{Plan, Setting, median};
@@ -8,22 +8,22 @@ use crate::scene::{Optimiser, Scene};
 use crate::truth::Truth;
 use std::time::Instant;
 
-/// What a setting costs, and what it is worth.
+/// Costs and errors of a setting.
 #[derive(Clone, Debug)]
 pub struct GradientPrice {
     /// The setting.
     pub setting: Setting,
     /// Seconds for one gradient.
     pub seconds: f64,
-    /// That, over the scene's own.
+    /// The same, divided by the time of the scene's own setting.
     pub cost: f64,
-    /// Bytes per particle that it takes beside the flow: sensitivities, or tape and snapshots.
+    /// Bytes per particle in addition to the flow: sensitivities, or tape and snapshots.
     pub bytes: f64,
-    /// Cosine of the angle to the scene's full gradient; not a number for other parameters than its.
+    /// Cosine of the angle to the scene's full gradient; NaN for other parameters.
     pub cosine: f64,
-    /// Length over that of the full gradient.
+    /// Length divided by that of the full gradient.
     pub length: f64,
-    /// Largest relative difference of a component of the gradient, over the largest component.
+    /// Largest difference of a component of the gradient, divided by the largest component.
     pub difference: f64,
 }
 
@@ -32,10 +32,10 @@ pub(super) fn work(scene: &Scene) -> u64 {
     of_gradient(scene).len() as u64
 }
 
-/// Prices every setting of a scene's gradient, at its first guess; `tick` is called behind each.
+/// Measures every setting of a scene's gradient, at its first guess; `tick` is called after each.
 ///
 /// # Errors
-/// [`crate::Error::Diverged`] where the flow of the first guess does not hold.
+/// [`crate::Error::Diverged`] where the flow of the first guess diverges.
 pub fn price_gradients<const D: usize>(
     scene: &Scene,
     truth: &Truth<D>,
@@ -43,7 +43,7 @@ pub fn price_gradients<const D: usize>(
     tick: &mut dyn FnMut(&str),
 ) -> Result<Vec<GradientPrice>> {
     let mut scene = scene.clone();
-    // Any way of finding the gradient is to be priced, whatever the search needs.
+    // Every mode is measured, whatever the search needs.
     if let Some(learn) = &mut scene.learn {
         learn.optimiser = Optimiser::Adam { rate: 0.01, decay: 1.0 };
         learn.warm_up = None;
@@ -59,8 +59,8 @@ pub fn price_gradients<const D: usize>(
     Ok(prices)
 }
 
-/// One setting in turns with the scene's own; one that cannot be had (a budget that has no room for a step, a
-/// flow that is lost) has no numbers.
+/// One setting alternating with the scene's own; a setting that fails (a budget too small for a
+/// step, a flow that diverges) has no numbers.
 fn price<const D: usize>(
     (scene, setting): (&Scene, Setting),
     (own, guess): (&mut Learner<D>, &[f64]),
@@ -91,7 +91,7 @@ fn price<const D: usize>(
     Ok(GradientPrice { seconds: median(times), cost: median(shares), bytes, ..price })
 }
 
-/// A gradient beside the full one; not a number where they are of other parameters.
+/// Compares a gradient with the full one; NaN for other parameters.
 fn compare(setting: Setting, (found, full): (&[f64], &[f64])) -> GradientPrice {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let (length, size) = (dot(found, found).sqrt(), dot(full, full).sqrt());

@@ -1,31 +1,31 @@
-//! The settings that are tried: the scene with one choice made differently. A new choice is one line in
-//! [`of_flow`], of [`of_gradient`], or of both.
+//! The settings that are measured: the scene with one choice changed. To add a choice, add a line
+//! to [`of_flow`], to [`of_gradient`], or to both.
 
 use crate::scene::{KernelName, Learn, Precision, Scene};
 use crate::sensitivity::{Coupling, Gradient, Storage};
 use crate::systems::verlet::Step;
 
-/// What a setting does to the results.
+/// The effect of a setting on the results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Nothing but round-off.
     None,
-    /// It approximates the same equations less or more closely.
+    /// Another accuracy of the same equations.
     Accuracy,
-    /// It solves other equations: what stands there as an error is a difference.
+    /// Other equations: the numbers are differences, not errors.
     Other,
 }
 
-/// One setting: the scene with one choice made differently.
+/// One setting: the scene with one choice changed.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// Which choice.
+    /// The choice.
     pub knob: &'static str,
-    /// How it is made.
+    /// Its value.
     pub value: String,
     /// The scene with it.
     pub scene: Scene,
-    /// What it does to the results.
+    /// Its effect on the results.
     pub effect: Effect,
 }
 
@@ -35,7 +35,7 @@ impl Setting {
         Self { knob: "as it is", value: String::new(), scene: scene.clone(), effect }
     }
 
-    /// What a report calls it.
+    /// The name in a report.
     pub fn name(&self) -> String {
         match self.value.as_str() {
             "" => self.knob.to_owned(),
@@ -44,10 +44,10 @@ impl Setting {
     }
 }
 
-/// A choice and what it changes.
+/// A choice and its effect.
 type Knob = (&'static str, Effect);
 
-/// A setting for every value of a choice, named as it is to be shown.
+/// A setting for every value of a choice, with its name.
 fn turn<N: ToString, V>(
     scene: &Scene,
     (knob, effect): Knob,
@@ -62,7 +62,7 @@ fn turn<N: ToString, V>(
     values.into_iter().map(setting).collect()
 }
 
-/// As [`turn`], of what a scene learns.
+/// As [`turn`], for the training of a scene.
 fn teach<N: ToString, V>(
     scene: &Scene,
     knob: Knob,
@@ -76,12 +76,12 @@ fn teach<N: ToString, V>(
     })
 }
 
-/// Names numbers by how they print.
+/// Names numbers as they are printed.
 fn shown<V: ToString + Clone>(values: impl IntoIterator<Item = V>) -> Vec<(String, V)> {
     values.into_iter().map(|value| (value.to_string(), value)).collect()
 }
 
-/// What can be chosen of a flow; the first setting is the scene's own.
+/// The choices of a flow; the first setting is the scene's own.
 pub(super) fn of_flow(scene: &Scene) -> Vec<Setting> {
     let mut all = vec![Setting::own(scene, Effect::Accuracy)];
     let skins = [0.0, 0.1, 0.2, 0.3, 0.5].map(|skin| (format!("{skin} h"), skin));
@@ -97,12 +97,12 @@ pub(super) fn of_flow(scene: &Scene) -> Vec<Setting> {
     all
 }
 
-/// In which numbers pairs are evaluated.
+/// Precisions in which pairs are evaluated.
 fn precisions() -> [(&'static str, Precision); 2] {
     Precision::ALL.map(|precision| (precision.name(), precision))
 }
 
-/// What can be chosen of a gradient; the first setting is the scene's own.
+/// The choices of a gradient; the first setting is the scene's own.
 pub(super) fn of_gradient(scene: &Scene) -> Vec<Setting> {
     let mut all = vec![Setting::own(scene, Effect::None)];
     let Some(learn) = &scene.learn else { return all };
@@ -158,7 +158,7 @@ fn kernels(scene: &Scene) -> Vec<(String, (KernelName, f64))> {
     kernels.into_iter().flat_map(of).filter(fits).collect()
 }
 
-/// Ways to keep less than everything: few snapshots, or a budget of four kilobytes a particle.
+/// Storages that need less memory: few snapshots, or a budget of four kilobytes per particle.
 fn storages(scene: &Scene) -> Vec<(String, Storage)> {
     let counts = [1, 3, 8]
         .map(|count| (format!("adjoint, checkpoints = {count}"), Storage::Checkpoints(count)));
@@ -167,7 +167,7 @@ fn storages(scene: &Scene) -> Vec<(String, Storage)> {
     counts.into_iter().chain(bytes).collect()
 }
 
-/// Half and twice the nodes along each axis, where a field is compared.
+/// Half and twice the nodes along each axis, with a field loss.
 fn meshes(scene: &Scene, learn: &Learn) -> impl Iterator<Item = usize> {
     let own = learn.mesh.unwrap_or(scene.fluid.particles_per_side);
     let counts = [own.div_ceil(2), 2 * own].into_iter();
@@ -183,7 +183,7 @@ mod tests {
         for shipped in crate::scene::SHIPPED {
             let scene = Scene::shipped(shipped.name).unwrap();
             for mut setting in of_flow(&scene).into_iter().chain(of_gradient(&scene)) {
-                // Any optimiser takes any way of finding the gradient but the second-order one.
+                // Only the second-order optimiser needs forward sensitivities.
                 if let Some(learn) = &mut setting.scene.learn {
                     learn.optimiser = crate::scene::Optimiser::Adam { rate: 0.1, decay: 1.0 };
                 }

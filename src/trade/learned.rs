@@ -1,4 +1,4 @@
-//! What a setting does to what is learned: the scene's search with it, and how far it comes.
+//! The effect of a setting on what is learned: the scene's search with it, and its result.
 
 use super::flows::{FINER, fine};
 use super::knobs::{of_flow, of_gradient};
@@ -11,35 +11,36 @@ use crate::sensitivity::{Coupling, Gradient};
 use crate::truth::Truth;
 use std::time::Instant;
 
-/// Most parameters for which a search by forward sensitivities is tried.
+/// Number of parameters, maximum, with which a search by forward sensitivities is tried.
 const FEW: usize = 12;
 
-/// What a setting costs a search, and what the search then finds.
+/// Costs of a search with a setting, and its result.
 #[derive(Clone, Debug)]
 pub struct LearnedPrice {
     /// The setting.
     pub setting: Setting,
     /// Seconds for the search.
     pub seconds: f64,
-    /// That, over the scene's own.
+    /// The same, divided by the time of the scene's own setting.
     pub cost: f64,
     /// Iterations it took.
     pub iterations: usize,
-    /// What it ends with, by the scene's own loss over its own frames; not a number where that is lost.
+    /// Final loss, by the scene's own loss over its own frames; NaN where that flow diverges.
     pub loss: f64,
-    /// Relative error of the worst physical parameter; not a number where weights are learned, whose truth
-    /// nobody knows.
+    /// Relative error of the worst physical parameter; NaN where weights are learned, for which
+    /// there is no truth.
     pub error: f64,
 }
 
-/// Searches with every setting that changes what is learned; `tick` is called behind each.
+/// Runs the search with every setting that changes what is learned; `tick` is called after each.
 ///
-/// Settings of the gradient learn from `truth`. Settings of the flow, where physical parameters alone are
-/// learned, learn from a truth in steps sixteen times finer: the error of the step becomes one of the
-/// parameters. A search that its own optimiser cannot do (second order by the adjoint) is done by L-BFGS.
+/// Settings of the gradient learn from `truth`. Settings of the flow are tried only if no weights
+/// are learned, and learn from a truth in steps sixteen times finer, so that the error of the step
+/// becomes an error of the parameters. A search that its own optimiser cannot do (second order by
+/// the adjoint) is done by L-BFGS.
 ///
 /// # Errors
-/// [`crate::Error::Diverged`] where the fine truth or the scene's own search does not hold.
+/// [`crate::Error::Diverged`] where the fine truth or the scene's own search diverges.
 pub fn price_learning<const D: usize>(
     scene: &Scene,
     truth: &Truth<D>,
@@ -85,8 +86,8 @@ pub(super) fn work(scene: &Scene) -> u64 {
     (by_gradient.map_or(0, |settings| settings.len()) + by_flow(scene).len()) as u64
 }
 
-/// The settings of a gradient that are searched with: storage gives the same bits, and the sensitivities of
-/// many weights take too long.
+/// The settings of a gradient that are used in searches. Storage is left out, because it gives the
+/// same bits; so are sensitivities of many weights, which take too long.
 fn by_gradient<const D: usize>(scene: &Scene) -> Result<Vec<Setting>> {
     let columns = crate::learn::columns::<D>(scene, scene.learning()?)?.len();
     let mut settings = of_gradient(scene);
@@ -109,7 +110,7 @@ fn by_flow(scene: &Scene) -> Vec<Setting> {
     settings
 }
 
-/// The same failure once more, for the caller.
+/// A copy of the error, for the caller.
 fn again(error: &crate::Error) -> crate::Error {
     crate::Error::input(
         "the scene's own search",
@@ -145,7 +146,7 @@ fn priced(
     }
 }
 
-/// The relative error of the worst learned parameter; not a number where there is a network.
+/// The relative error of the worst learned parameter; NaN where there is a network.
 fn worst(scene: &Scene, learned: &[f64]) -> f64 {
     let truth = scene.parameters();
     let known = scene.learn.iter().flat_map(|learn| &learn.parameters);
@@ -157,7 +158,7 @@ fn worst(scene: &Scene, learned: &[f64]) -> f64 {
     learned.iter().zip(&known).map(off).fold(0.0, f64::max)
 }
 
-/// The scene's search, cut short, and the seconds it takes.
+/// The scene's search with few iterations, and its duration in seconds.
 fn search<const D: usize>(scene: &Scene, truth: &Truth<D>, plan: Plan) -> Result<(Outcome, f64)> {
     let mut scene = scene.clone();
     if let Some(learn) = &mut scene.learn {
@@ -177,7 +178,8 @@ fn search<const D: usize>(scene: &Scene, truth: &Truth<D>, plan: Plan) -> Result
     Ok((outcome, clock.elapsed().as_secs_f64()))
 }
 
-/// The scene's own loss at what another setting found: the same question to all.
+/// The scene's own loss at the result of another setting, so that all are compared by the same
+/// loss.
 fn judge<const D: usize>(
     own: &Scene,
     setting: &Scene,
@@ -186,7 +188,7 @@ fn judge<const D: usize>(
 ) -> Result<f64> {
     let mut scene = own.clone();
     if let (Some(judge), Some(learn)) = (&mut scene.learn, &setting.learn) {
-        // The loss alone is wanted: of the two ways the adjoint is the cheaper, whatever it is searched by.
+        // Only the loss is needed: the adjoint is the cheaper mode, whatever the search uses.
         (judge.model, judge.gradient) = (learn.model.clone(), Gradient::Adjoint);
         (judge.optimiser, judge.warm_up) = (Optimiser::Adam { rate: 0.1, decay: 1.0 }, None);
         judge.coupling = Coupling::Full;
@@ -196,8 +198,8 @@ fn judge<const D: usize>(
     Ok(learner.evaluate(&outcome.evaluation.parameters, frames)?.loss)
 }
 
-/// A setting of the flow, made to learn from the scene's own stretch of flow in fine steps: as many frames as
-/// its time step makes of it.
+/// A setting of the flow that learns from a fine truth of the scene's own duration; the number of
+/// frames follows from its time step.
 fn same_stretch<const D: usize>(
     own: &Scene,
     setting: &Scene,
@@ -251,7 +253,7 @@ mod tests {
         let prices = price_learning(&scene, &truth, plan, &mut |_| {}).unwrap();
         let price = |name: &str| prices.iter().find(|price| price.setting.name() == name).unwrap();
         let error = |name: &str| price(name).error;
-        // Learned from its own truth a scene finds it.
+        // A scene that learns from its own truth finds it.
         assert!(error("as it is") < 1e-6 && price("as it is").loss < 1e-15);
         let (coarse, fine) =
             (error("step: kick-drift-kick, dt"), error("step: kick-drift-kick, dt/4"));

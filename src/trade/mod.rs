@@ -1,9 +1,9 @@
-//! The price list: what each setting that buys speed costs in accuracy, measured on this machine.
+//! The price list: the accuracy that each faster setting costs, measured on this machine.
 //!
-//! Flows are compared with a *reference*: the scene's own law from the same state in steps sixteen
-//! times finer, of second order. Gradients are compared with the full, exact one, and what is learned with
-//! them with the truth. Times are taken in turns with the scene's own setting, and given as multiples of
-//! its: whatever else slows the machine down slows both.
+//! Flows are compared with a *reference*: the scene's own law from the same state, with a step of
+//! second order that is sixteen times finer. Gradients are compared with the full, exact one, and
+//! learned parameters with the truth. Times are measured in alternation with the scene's own
+//! setting, and given as ratios to it, so that other loads on the machine affect both.
 
 mod choose;
 mod flows;
@@ -21,14 +21,14 @@ pub use tables::{Prices, report};
 
 use crate::scene::Scene;
 
-/// How much is measured.
+/// The extent of the measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
-    /// How far flows are followed, in steps of the scene.
+    /// Number of steps of the scene for which flows are followed.
     pub steps: u64,
-    /// How often each time is taken; the median counts.
+    /// Number of measurements of each time, of which the median counts.
     pub rounds: usize,
-    /// Most iterations of each search.
+    /// Number of iterations of each search, maximum.
     pub iterations: usize,
 }
 
@@ -49,7 +49,7 @@ impl Default for Plan {
     }
 }
 
-/// The median; not a number of nothing.
+/// The median; NaN for an empty list.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
@@ -58,11 +58,10 @@ fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// Errors below this are round-off: none is better than another.
+/// Error below which differences are round-off: none is better than another.
 const ROUND_OFF: f64 = 1e-12;
 
-/// Marks the settings that are best of their price, where each has a cost and an error; one without stands
-/// outside the contest.
+/// Marks the settings that are best at their cost, among those with a cost and an error.
 fn best(points: impl Iterator<Item = Option<(f64, f64)>>) -> Vec<bool> {
     let outside = (f64::NAN, f64::NAN);
     let points: Vec<_> = points.map(|point| point.unwrap_or(outside)).collect();
@@ -74,7 +73,7 @@ fn best(points: impl Iterator<Item = Option<(f64, f64)>>) -> Vec<bool> {
     )
 }
 
-/// Marks what is best of its price: nothing else is both cheaper and more accurate.
+/// Marks the Pareto-optimal settings: no other is both cheaper and more accurate.
 fn pareto(points: &[(f64, f64)]) -> Vec<bool> {
     let beaten = |&(cost, error): &(f64, f64)| {
         points.iter().any(|&(c, e)| c <= cost && e <= error && (c < cost || e < error))

@@ -5,14 +5,14 @@ use crate::report::{Axis, Cell, Curve, Figure, Report, Role, Row, Scale, Table};
 use crate::scene::Scene;
 use crate::systems::verlet::Step;
 
-/// Everything that was priced.
+/// All measurements.
 #[derive(Clone, Debug, Default)]
 pub struct Prices {
-    /// Of the flow.
+    /// Of flows.
     pub flows: Vec<FlowPrice>,
-    /// Of the gradient; none where nothing is learned.
+    /// Of gradients; none without a training.
     pub gradients: Vec<GradientPrice>,
-    /// Of what is learned; none where nothing is.
+    /// Of searches; none without a training.
     pub learned: Vec<LearnedPrice>,
 }
 
@@ -64,7 +64,7 @@ fn headings<const N: usize>(names: [&str; N]) -> Vec<String> {
     names.map(str::to_owned).to_vec()
 }
 
-/// What must be known to read the prices of the flow.
+/// The explanation needed to read the prices of flows.
 const FLOW_CAPTION: &str = "Cost of the same stretch of flow over that of the scene as it is; nanoseconds per \
                             particle and step; bytes per particle. Errors at the end: root-mean-square \
                             distance of particles over h, of the smoothed velocity field over its size, of \
@@ -168,7 +168,7 @@ fn learned_row((price, best): (&LearnedPrice, bool)) -> Row {
     Row { name: price.setting.name(), role: Role::Model, cells: cells.to_vec() }
 }
 
-/// Searches are told apart by the worst parameter, or where its truth is not known by the loss.
+/// Searches are ranked by the worst parameter or, if its truth is unknown, by the loss.
 fn learned_table(learned: &[LearnedPrice], plan: Plan) -> Table {
     let marks = best(learned.iter().map(|price| {
         Some((price.cost, if price.error.is_nan() { price.loss } else { price.error }))
@@ -200,7 +200,7 @@ fn learned_table(learned: &[LearnedPrice], plan: Plan) -> Table {
     table
 }
 
-/// Error by cost, a curve per kind of step.
+/// Error as a function of cost, with a curve per kind of step.
 fn flow_figure(flows: &[FlowPrice]) -> Figure {
     let curve = |step: Step| {
         let of = |price: &&FlowPrice| {

@@ -1,8 +1,8 @@
-//! What commands that run flows share: progress, dimension.
+//! Common to commands that run flows: progress, dimension.
 
 use crate::meter::Meter;
 
-/// A meter with rate and estimate; of length zero where nothing can be counted.
+/// A meter with rate and estimate; of length zero where the work is unknown.
 pub(crate) fn progress(length: u64, what: &'static str) -> Meter {
     let template = "{prefix:>10} [{bar:30}] {pos}/{len} {msg} ({elapsed}, {eta} left)";
     let meter = Meter::new(length, what, template);

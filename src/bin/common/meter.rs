@@ -1,11 +1,11 @@
-//! How far a command is: a bar on a terminal, a line a minute in a log.
+//! Progress of a command: a bar on a terminal, a line a minute in a log.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::ops::Deref;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-/// When a log gets its first line, and how far apart the others are: short runs say nothing.
+/// Time until a log gets its first line, and time between the others: short runs print nothing.
 const FIRST: Duration = Duration::from_secs(10);
 const EVERY: Duration = Duration::from_secs(60);
 
@@ -17,7 +17,7 @@ pub(crate) struct Meter {
 }
 
 impl Meter {
-    /// A meter of a number of units; zero where it is not known.
+    /// A meter of a number of units; zero where it is unknown.
     pub(crate) fn new(length: u64, what: &'static str, template: &str) -> Self {
         let bar = ProgressBar::new(length);
         if let Ok(style) = ProgressStyle::with_template(template) {
@@ -36,7 +36,7 @@ impl Deref for Meter {
     }
 }
 
-/// Writes how far a bar is, until the sender that comes back is dropped.
+/// Writes the progress of a bar until the returned sender is dropped.
 fn log(bar: ProgressBar, what: &'static str) -> Sender<()> {
     let (sender, end) = channel::<()>();
     std::thread::spawn(move || {

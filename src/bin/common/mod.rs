@@ -1,18 +1,18 @@
-//! What all commands share: output, the JSON line, exit codes.
+//! Common to all commands: output, the JSON line, exit codes.
 
 use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::OnceLock;
 use whirls::{Error, Result, interrupt};
 
-/// Why standard output could not be written; none where its reader has just gone.
+/// The error of standard output; none where its reader has only closed the pipe.
 static UNSAID: OnceLock<io::Error> = OnceLock::new();
 
 /// Ends a command: nothing on success, the error on standard error otherwise.
 #[expect(clippy::print_stderr, reason = "a command reports its failure here")]
 pub(crate) fn conclude(result: Result<()>) -> ExitCode {
     let result = match result {
-        // What an interrupted run fails of is no news.
+        // The error of an interrupted run is expected.
         Err(Error::Input { .. } | Error::Diverged { .. }) => interrupt::check().and(result),
         other => other,
     };
@@ -25,7 +25,7 @@ pub(crate) fn conclude(result: Result<()>) -> ExitCode {
     }
 }
 
-/// Prints a line on standard output, unless its reader has gone.
+/// Prints a line on standard output, unless its reader has closed the pipe.
 pub(crate) fn say(line: impl std::fmt::Display) {
     // A closed pipe (`train | head`) is no reason to lose the recording.
     match writeln!(io::stdout(), "{line}") {
@@ -36,7 +36,7 @@ pub(crate) fn say(line: impl std::fmt::Display) {
     }
 }
 
-/// Whether standard output has taken every line.
+/// Whether standard output has accepted every line.
 fn all_said() -> Result<()> {
     let Some(error) = UNSAID.get() else { return Ok(()) };
     let same = error.raw_os_error().map(io::Error::from_raw_os_error);

@@ -1,4 +1,4 @@
-//! What commands with a scene share: options, explanation.
+//! Common to commands with a scene: options, explanation.
 
 use crate::common::warn;
 use crate::common::{say, say_json};
@@ -36,7 +36,7 @@ impl SceneArguments {
     /// The scene, with overrides and seed; also starts the threads.
     pub(crate) fn open(&self, name_or_path: &str) -> Result<Scene> {
         let threads = usize::from(self.threads.unwrap_or(0));
-        // A second pool in one process would be a mistake of ours, and harmless.
+        // A second pool in one process would be a bug of ours, and harmless.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
         let mut scene = Scene::open(name_or_path, &self.overrides)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
@@ -44,7 +44,8 @@ impl SceneArguments {
     }
 }
 
-/// Reserves a recording's name before any work; what an earlier run left unfinished is kept, and told.
+/// Reserves a recording's name before any work; an unfinished file of an earlier run is kept, and
+/// reported.
 #[allow(dead_code, reason = "trade writes a folder")]
 pub(crate) fn reserve(guard: &Guard<'_>, path: &Path) -> Result<Output> {
     let output = guard.reserve(path)?;
@@ -61,7 +62,7 @@ pub(crate) fn reserve(guard: &Guard<'_>, path: &Path) -> Result<Output> {
     Ok(output)
 }
 
-/// Prints which step was chosen for the accuracy that a scene asks for; to `explain`, also what was tried.
+/// Prints the step chosen for a requested accuracy; with `explain`, also the steps tried.
 pub(crate) fn describe_choice(choice: &Choice, explain: bool) {
     let line = |trial: &Trial| {
         let Trial { step, dt, cost, error } = trial;

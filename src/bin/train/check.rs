@@ -1,4 +1,4 @@
-//! What a gradient is worth: against other ways to find it, and with less of it.
+//! Checks of a gradient: against other modes, and with local coupling.
 
 use crate::common::{say, say_json, warn};
 use crate::flow::progress;
@@ -13,13 +13,14 @@ use whirls::sensitivity::{
 };
 use whirls::{Error, Result, Scene};
 
-/// Most parameters of which every one has a line; of more, the [`LARGEST`] components have one.
+/// Number of parameters, maximum, up to which each has a line; if there are more, only the
+/// [`LARGEST`] components have one.
 const LINES: usize = 12;
 
-/// How many components stand for the others.
+/// Number of components printed if there are many parameters.
 const LARGEST: usize = 8;
 
-/// The scene's learner with another way to the gradient.
+/// The scene's learner with another mode of differentiation.
 fn learner<const D: usize>(
     scene: &Scene,
     lesson: &Lesson<D>,
@@ -27,7 +28,7 @@ fn learner<const D: usize>(
 ) -> Result<Learner<D>> {
     let mut scene = scene.clone();
     if let Some(learn) = &mut scene.learn {
-        // An optimiser that takes either.
+        // An optimiser that works with either mode.
         learn.optimiser = Optimiser::Adam { rate: 0.05, decay: 1.0 };
         (learn.gradient, learn.coupling) = (gradient, coupling);
     }
@@ -35,7 +36,7 @@ fn learner<const D: usize>(
     Learner::new(&scene, lesson.truth.states[0].clone(), observations)
 }
 
-/// A gradient with its learner and the seconds it takes.
+/// A gradient with its learner and its duration in seconds.
 struct Timed<const D: usize> {
     learner: Learner<D>,
     found: Evaluation,
@@ -120,7 +121,7 @@ impl Rates {
     }
 }
 
-/// Prints how fast the sensitivities grow, and warns where the gradient has outgrown its use.
+/// Prints the growth of the sensitivities, and warns where the gradient is no longer useful.
 fn describe_growth(growth: &Growth, (along, frames): (&ComparedSlope, usize)) {
     let Growth { sizes, rate, per_step, per_eddy } = growth;
     say(format!(
@@ -164,8 +165,8 @@ fn compare_all<const D: usize>(
     Ok(along)
 }
 
-/// The gradient as a whole, and its largest components; differences from the adjoint's flow, which
-/// carries no column for each parameter.
+/// The gradient as a whole, and its largest components. Differences use the adjoint's flow, which
+/// has no column for each parameter.
 fn compare_most<const D: usize>(
     forward: &Evaluation,
     adjoint: &mut Timed<D>,
@@ -199,8 +200,8 @@ fn length(gradient: &[f64]) -> f64 {
     gradient.iter().map(|g| g * g).sum::<f64>().sqrt()
 }
 
-/// Below this loss a flow is off by less than a millionth of a millionth of what it is compared with: the
-/// direction of its gradient is that of round-off.
+/// Loss below which a flow deviates from the truth by less than 1e-12: the direction of its
+/// gradient is round-off.
 const REPRODUCED: f64 = 1e-24;
 
 /// The object of `--check-coupling --json`.
@@ -214,7 +215,7 @@ struct CouplingReport {
     horizons: Vec<Horizon>,
 }
 
-/// The local gradient of a loss over so many steps, against the full one.
+/// Compares the local gradient of a loss over a number of steps with the full one.
 #[derive(Serialize)]
 struct Horizon {
     steps: usize,
@@ -222,7 +223,7 @@ struct Horizon {
     length_ratio: f64,
 }
 
-/// Prints how far the gradient without its neighbours' share strays from the full one, by horizon.
+/// Prints the deviation of the local gradient from the full one, by horizon.
 pub(crate) fn check_coupling<const D: usize>(
     scene: &Scene,
     lesson: &Lesson<D>,

@@ -1,4 +1,4 @@
-//! What `train` ends with, in words.
+//! The final report of `train`, in words.
 
 use crate::common::say;
 use whirls::parameters::Parameter;
