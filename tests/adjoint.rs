@@ -1,4 +1,4 @@
-//! The adjoint: all parameters at the price of one way back.
+//! The adjoint: the gradient by all parameters from one backward sweep.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -16,7 +16,7 @@ use whirls::systems::particles::{AdjointCloud, Cloud};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 
-/// A small rough flow with every term of the force at work.
+/// A small rough flow with every term of the force.
 fn scene(dimension: usize, step: Step, forcing: &str, loss: Weights) -> Scene {
     let name = if dimension == 2 { "inverse-2d" } else { "inverse-3d" };
     let (side, h) = if dimension == 2 { (14, 0.457) } else { (8, 0.67) };
@@ -49,7 +49,7 @@ const FORCINGS: [&str; 5] = [
 /// Factors on `c, α, β, γ, θ`.
 const OFF: [f64; 5] = [0.8, 0.7, 1.3, 0.75, 0.9];
 
-/// Loss and gradient both ways at parameters off the truth.
+/// Loss and gradient by both modes at parameters off the truth.
 fn both<const D: usize>(scene: &Scene, storage: Storage) -> (Vec<f64>, Vec<f64>, [f64; 2]) {
     let learn = scene.learn.clone().unwrap();
     let truth = Truth::<D>::generate(scene, (learn.after, learn.frames)).unwrap();
@@ -121,7 +121,7 @@ fn checkpoints_give_the_bits_of_full_storage() {
     }
 }
 
-/// In lists of three eights and more, built for farther than anybody reaches.
+/// Lists of at least three eights, built for a larger radius than the support.
 #[test]
 fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
     let loss = Weights { trajectory: 1.0, field: 1.0, kl: 0.0 };
@@ -152,7 +152,7 @@ fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
     }
 }
 
-/// What is observed every third step is what is observed every step, less two of three.
+/// Observing every third step is observing every step with two of three frames left out.
 #[test]
 fn frames_that_are_steps_apart_are_states_of_the_same_flow_with_the_same_gradients_both_ways() {
     for loss in [(1.0, 0.0), (0.3, 2.0)] {
@@ -189,7 +189,7 @@ fn frames_that_are_steps_apart_are_states_of_the_same_flow_with_the_same_gradien
     }
 }
 
-/// The way back with a storage, from parameters off the truth.
+/// The adjoint with a storage, at parameters off the truth.
 fn backward(scene: &Scene, storage: Storage) -> whirls::Result<AdjointGradient> {
     let learn = scene.learn.clone().unwrap();
     let truth = Truth::<3>::generate(scene, (learn.after, learn.frames)).unwrap();
@@ -203,7 +203,7 @@ fn backward(scene: &Scene, storage: Storage) -> whirls::Result<AdjointGradient> 
 fn a_budget_of_bytes_is_kept_and_gives_the_bits_of_full_storage() {
     for step in Step::ALL {
         let mut scene = scene(3, step, "paper", Weights { trajectory: 1.0, field: 1.0, kl: 1.0 });
-        // Lists that are built anew almost every step.
+        // Lists that are rebuilt in almost every step.
         scene.time.skin = 0.05;
         if let Some(learn) = &mut scene.learn {
             learn.frames = 14;

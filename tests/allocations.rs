@@ -1,4 +1,4 @@
-//! What a flow says it holds is what it allocates.
+//! The memory that a flow reports is the memory that it allocates.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -11,22 +11,22 @@ use whirls::sensitivity::Gradient;
 use whirls::truth::Truth;
 use whirls::{Flow, Scene};
 
-/// The system's allocator, which also counts the bytes that are now allocated.
+/// The system's allocator, which also counts the bytes currently allocated.
 struct Counting;
 
 static ALLOCATED: AtomicIsize = AtomicIsize::new(0);
 
-// SAFETY: everything is passed on as it is.
+// SAFETY: every call is forwarded unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATED.fetch_add(layout.size() as isize, Ordering::Relaxed);
-        // SAFETY: the caller's promise is the one asked for.
+        // SAFETY: the caller guarantees what is required here.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         ALLOCATED.fetch_sub(layout.size() as isize, Ordering::Relaxed);
-        // SAFETY: the caller's promise is the one asked for.
+        // SAFETY: the caller guarantees what is required here.
         unsafe { System.dealloc(block, layout) }
     }
 }
@@ -34,10 +34,10 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// Bytes that a flow leaves allocated, and bytes that it says it holds.
+/// Bytes that a flow leaves allocated, and bytes that it reports.
 type Bytes = [f64; 2];
 
-/// Those of the flow that `make` makes; observations were there before.
+/// The bytes of the flow that `make` returns; observations were allocated before.
 fn bytes_of<const D: usize>(scene: &Scene, make: impl FnOnce() -> Flow<D>) -> Bytes {
     let before = ALLOCATED.load(Ordering::Relaxed);
     let flow = make();
@@ -47,7 +47,8 @@ fn bytes_of<const D: usize>(scene: &Scene, make: impl FnOnce() -> Flow<D>) -> By
     [allocated, held * scene.particles() as f64]
 }
 
-/// How the flows of a scene in fewer and in more particles differ: what every World has once is in both.
+/// Differences between the flows of a scene with more and with fewer particles: what every World
+/// has once cancels.
 fn more<const D: usize>(about: &str, gradient: Option<Gradient>, model: &str) -> f64 {
     let of = |side: usize| {
         let scene = scene::<D>(side, (gradient, model));
@@ -60,7 +61,7 @@ fn more<const D: usize>(about: &str, gradient: Option<Gradient>, model: &str) ->
             Some(_) => learned::<D>(&scene),
         }
     };
-    // Below a power of two, up to which the ECS reserves.
+    // Below a power of two, to which the ECS rounds its reserves.
     let (few, many) = if D == 2 { (31, 126) } else { (12, 25) };
     let (few, many) = (of(few), of(many));
     let [allocated, said] = [many[0] - few[0], many[1] - few[1]];
@@ -68,7 +69,7 @@ fn more<const D: usize>(about: &str, gradient: Option<Gradient>, model: &str) ->
     said / allocated
 }
 
-/// As many neighbours for any number of particles.
+/// The same number of neighbours for any number of particles.
 fn scene<const D: usize>(side: usize, (gradient, model): (Option<Gradient>, &str)) -> Scene {
     let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
     let h = if D == 2 { 1.0186 } else { 0.853 } * std::f64::consts::TAU / side as f64;
@@ -85,7 +86,7 @@ fn scene<const D: usize>(side: usize, (gradient, model): (Option<Gradient>, &str
     Scene::open(name, &overrides).unwrap()
 }
 
-/// A learner's flow behind one evaluation of its gradient.
+/// A learner's flow after one evaluation of its gradient.
 fn learned<const D: usize>(scene: &Scene) -> Bytes {
     let truth = Truth::<D>::generate(scene, (0, 2)).unwrap();
     let observations = truth.observations(scene, scene.learn.as_ref().unwrap()).unwrap();
@@ -100,7 +101,7 @@ fn learned<const D: usize>(scene: &Scene) -> Bytes {
     [allocated, (own.sum::<f64>() + state) * scene.particles() as f64]
 }
 
-/// One test, so that nobody else allocates meanwhile.
+/// One test, so that no other test allocates at the same time.
 #[test]
 fn what_a_flow_says_it_holds_is_what_it_allocates() {
     let (forward, adjoint) = (Some(Gradient::Forward), Some(Gradient::Adjoint));

@@ -1,7 +1,7 @@
-//! The small inputs that once went wrong, collected in `shared/cases` with what each must end as.
+//! Small inputs that once failed, collected in `shared/cases` with the required outcome of each.
 //!
-//! The folder is `../shared/cases` beside the repository, or what `WHIRLS_CASES` names. Where it is missing the tests
-//! say that they are skipped; they fail where `CI=true`.
+//! The folder is `../shared/cases` next to the repository, or `WHIRLS_CASES`. If it is missing, the
+//! tests report that they are skipped; with `CI=true` they fail.
 
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use whirls::Scene;
 use whirls::recording::{Flow as Topic, Recording};
 
-/// A place with the cases in it; none where there are none.
+/// A place with the cases in it; none if there are none.
 fn cases() -> Option<Place> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let beside = || root.join("../shared/cases");
@@ -42,7 +42,7 @@ fn import(place: &Place, arrays: &[&str], more: &[&str]) -> Done {
     place.run("import", &[arrays, &["--dt", "0.02"], more].concat())
 }
 
-/// Learns from a recording and gives what was learned, with what was said on standard error.
+/// Learns from a recording, and returns what was learned, and the text on standard error.
 #[track_caller]
 fn learned(place: &Place, truth: &str) -> ([f64; 4], String) {
     // The arrays have twelve frames, the recordings three.
@@ -117,7 +117,7 @@ fn the_centred_twin_of_a_flow_is_wrapped_and_makes_the_same_flow() {
         let recording = Recording::open(&place.path(&record)).unwrap();
         (0..11).map(|k| recording.frame(Topic::Truth, k).unwrap()).collect::<Vec<_>>()
     };
-    // Its origin is in the middle of the box: every particle is half a box from its twin.
+    // Its origin is in the middle of the box: every particle is half a box from its counterpart.
     let half = std::f64::consts::PI;
     let twins = [frames("centred.mcap", "a"), frames("wrapped.mcap", "a")];
     for (centred, wrapped) in twins[0].iter().zip(&twins[1]) {

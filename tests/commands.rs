@@ -1,4 +1,4 @@
-//! The commands as a shell sees them: exit codes, standard output and error, files.
+//! The commands as seen by a shell: exit codes, standard output and error, files.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -92,12 +92,12 @@ fn simulate_takes_the_cheapest_step_of_the_accuracy_asked_for() {
         assert!(report["chosen"]["error"].as_f64().unwrap() <= accuracy, "{report}");
     }
     assert!(rough["chosen"]["cost"].as_f64() < fine["chosen"]["cost"].as_f64());
-    // The same stretch of flow in more steps.
+    // The same simulated time in more steps.
     assert!(rough["steps"].as_u64() < fine["steps"].as_u64());
     place.refuses("simulate", &["small.toml", "--accuracy", "1e-15"], &["at best", "ask for less"]);
 }
 
-/// The small scene asking for something, as a file of its own.
+/// The small scene with a requested accuracy, as a file.
 fn asking(place: &Place, what: &str) -> &'static str {
     std::fs::write(place.path("asking.toml"), format!("{what}\n{SMALL}")).unwrap();
     "asking.toml"
@@ -121,7 +121,7 @@ fn a_scene_that_asks_for_accuracy_runs_in_the_step_chosen_for_it_and_its_recordi
             assert_eq!(run.metadata["accuracy"].parse(), Ok(asked));
             let log = recording.logs().unwrap();
             assert_eq!(log[0].text, *said, "first in the log");
-            // What stands in the recording is the scene that ran, and runs again as it stands.
+            // The recording contains the scene that ran, which can be run again as it is.
             let ran = whirls::Scene::parse(&run.scene_toml, "recorded", &[]).unwrap();
             assert_eq!(ran.accuracy_asked(), Some(asked));
             let chosen = serde_json::to_value(ran.chosen.unwrap()).unwrap();
@@ -157,7 +157,7 @@ fn a_training_in_a_chosen_step_observes_the_same_times() {
     assert!(bytes[0] == bytes[1], "equal runs choose equally, for any number of threads");
 }
 
-/// Data have their times: a step is chosen that divides them.
+/// Data have fixed times: the chosen step must divide them.
 #[test]
 fn a_training_from_data_chooses_a_step_that_meets_the_data_at_their_times() {
     let place = Place::new();
@@ -224,7 +224,7 @@ fn an_evaluation_takes_the_step_that_was_chosen_for_the_training() {
     let report = std::fs::read_to_string(place.path("out").join("evaluation.json")).unwrap();
     let dt = trained["chosen"]["dt"].as_f64().unwrap();
     assert!(report.contains(&format!("in steps of {dt}")), "{report}");
-    // A truth that asks for the same gets the same.
+    // A truth with the same requested accuracy gets the same step.
     let same = ["--truth", "small.toml", "--set", "accuracy=5e-4"];
     place.json("evaluate", &[&look[..], &same[..]].concat());
     let other = ["--truth", "small.toml", "--set", "accuracy=0.5"];
@@ -255,7 +255,7 @@ fn trade_prices_flows_and_gradients() {
     let error = |step: &str| cell(0, &format!("step: {step}"), "trajectory");
     assert!(error("kick-drift-kick, dt/4") < 0.3 * error("kick-drift-kick, dt"));
     assert!(error("paper, dt/4") < 0.5 * error("paper, dt"));
-    // A skin buys speed alone.
+    // The skin affects only the speed.
     let skin = |width: &str| cell(0, &format!("skin: {width} h"), "trajectory");
     assert!((skin("0") - skin("0.5")).abs() < 1e-9 * skin("0"));
     for way in ["way: forward", "storage: adjoint, checkpoints = 1"] {
@@ -268,8 +268,8 @@ fn trade_prices_flows_and_gradients() {
     assert!(
         bytes("way: forward") > 0.0 && cell(1, "storage: adjoint, bytes = 2097152", "bytes") > 0.0
     );
-    // Learned from its own truth a scene finds it, and half the mesh does, too; steps of another truth do
-    // not, and the less so the longer they are.
+    // A scene that learns from its own truth finds it, also with half the mesh. With a truth of
+    // another step it does not, and less so the longer the step.
     let worst = |setting: &str| cell(2, setting, "worst parameter");
     assert!(worst("as it is") < 1e-6 && worst("mesh: 4 a side") < 1e-6);
     assert!(worst("step: kick-drift-kick, dt/4") < 0.5 * worst("step: kick-drift-kick, dt"));
@@ -345,7 +345,7 @@ fn train_learns_from_a_simulated_recording() {
     let place = Place::new();
     place.json("simulate", &["small.toml", "--json", "--record", "flow.mcap"]);
     let arguments = ["small.toml", "--json", "--truth", "flow.mcap", "--record", "small.mcap"];
-    // The recorded flow carries its force across frames: it starts anew only at frame 0.
+    // The recorded flow carries its force across frames, and starts without one only at frame 0.
     let report = place.json("train", &[&arguments[..], &["--set", "learn.after=0"]].concat());
     assert!((report["parameters"]["c"].as_f64().unwrap() - 10.0).abs() < 1e-6);
     assert!(report.get("truth").is_none(), "the truth of a recording is not known");
@@ -528,7 +528,7 @@ fn simulate_warns_of_particles_without_neighbours() {
     assert!(done.err.contains("set fluid.smoothing_length = 0.6699"), "{}", done.err);
 }
 
-/// The recording of a failed run can be read up to the failure, and says what happened.
+/// The recording of a failed run can be read up to the failure, and contains the reason.
 fn fails_with_a_recording(arguments: &[&str], reason: &str) -> usize {
     let place = Place::new();
     let done = place.run("simulate", &[arguments, &["--record", "bad.mcap"]].concat());

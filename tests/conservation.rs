@@ -1,4 +1,4 @@
-//! What the motion keeps: momentum and torque to round-off, energy as the square of the step.
+//! Conservation: momentum and torque to round-off, energy to the second order of the step.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -38,12 +38,13 @@ fn pressure_viscosity_and_forcing_each_keep_momentum<const D: usize>() {
         for (name, forcing) in FORCINGS {
             let mut scene = common::scene::<D>(per_side::<D>());
             (scene.fluid.kernel, scene.forcing) = (kernel, forcing);
-            // Wendland's functions at so few neighbours make it dense and stiff: shorter steps.
+            // With these few neighbours Wendland's functions make the flow dense and stiff: shorter
+            // steps.
             scene.time.courant = 0.1;
             let mut flow = started(&scene, &shaken::<D>(&scene));
             after(&mut flow, 3);
             let rates = flow.momentum_rates();
-            // Each of N accelerations is a sum of tens of terms, each good to one rounding.
+            // Each of N accelerations is a sum of tens of terms, each with one rounding error.
             let bound = 100.0 * f64::EPSILON * rates.scale;
             assert!(rates.scale > 1.0, "nothing is measured: {rates:?}");
             for (system, rate) in [
@@ -91,7 +92,7 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
             (medium.strength(&pair, stress(rho_i) + stress(rho_j)), r)
         };
         let ((there, r), (back, minus_r)) = (strength(i, j), strength(j, i));
-        // A pair's strength is symmetric in every bit: what i gains, j loses.
+        // A pair's coefficient is symmetric to the bit: forces cancel exactly.
         assert_eq!(there.to_bits(), back.to_bits());
         assert_eq!((r + minus_r).norm().to_bits(), 0);
         sums[i] += r * there;
@@ -102,7 +103,7 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     let size = torque.iter().map(|x| x * x).sum::<f64>().sqrt();
     // Each cross product of two parallel vectors is one rounding of a product of their lengths.
     assert!(scale > 1.0 && size <= 2.0 * f64::EPSILON * scale, "torque {torque:?} of {scale}");
-    // The forces looked at are those that move the particles: same terms, another order.
+    // The reported forces are those that move the particles: the same terms in another order.
     let largest = flow.accelerations().iter().map(|a| a.norm()).fold(0.0, f64::max);
     assert!(farthest(&sums, &flow.accelerations()) <= 1e-13 * largest);
 }
@@ -131,7 +132,7 @@ fn momentum_does_not_drift_in_a_thousand_steps<const D: usize>() {
             given += flow.dt() * flow.momentum_rates().scale;
         }
         let drift = (momentum(flow.mass(), &flow.state().velocities) - before).norm();
-        // Every kick may leave one rounding of what it gave.
+        // Every kick may leave one rounding error.
         assert!(
             given > 1.0 && drift <= 10.0 * f64::EPSILON * given,
             "{name}: {drift:e} of {given}"
@@ -139,7 +140,7 @@ fn momentum_does_not_drift_in_a_thousand_steps<const D: usize>() {
     }
 }
 
-/// A scene without viscosity, and with little heat: the energy error is the step's own.
+/// A scene without viscosity and with little heat: the energy error is that of the step.
 fn inviscid<const D: usize>() -> Scene {
     let mut scene = common::scene::<D>(per_side::<D>());
     (scene.fluid.alpha, scene.fluid.beta) = (0.0, 0.0);
@@ -148,7 +149,8 @@ fn inviscid<const D: usize>() -> Scene {
     scene
 }
 
-/// The largest energy error, relative to the energy, of each of `stretches` equal stretches of time.
+/// The largest energy error, relative to the energy, in each of `stretches` equal intervals of
+/// time.
 fn energy_errors<const D: usize>(scene: &Scene, (stretches, steps): (usize, usize)) -> Vec<f64> {
     let mut gentle = scene.clone();
     gentle.initial.jitter = 0.05 * common::spacing(scene);
@@ -183,11 +185,11 @@ fn the_energy_error_of_an_inviscid_flow_stays_bounded<const D: usize>() {
     scene.time.courant = 0.1;
     let errors = energy_errors::<D>(&scene, (4, 500));
     println!("{D}D: energy error per 500 steps {errors:?}");
-    // A symplectic step keeps the error of its first stretch; a drift would quadruple it.
+    // A symplectic step keeps the error of the first interval; a drift would quadruple it.
     assert!(errors[3] < 2.0 * errors[0], "{errors:?}");
 }
 
-/// With no pressure at all (`c` so small that only `β` acts), energy may only fall.
+/// Without pressure (`c` is so small that only `β` acts), energy can only decrease.
 fn viscosity_alone_only_takes_energy<const D: usize>() {
     let mut scene = common::scene::<D>(per_side::<D>());
     scene.time.dt = Some(0.4 * scene.fluid.smoothing_length / scene.fluid.c);

@@ -1,8 +1,8 @@
-//! The order of each kind of step, with viscosity and forcing on: slopes, not values.
+//! The order of each kind of step, with viscosity and forcing: slopes, not values.
 //!
-//! The flow is gentle: a slow smooth motion on a lattice, so that few pairs turn from approach to
-//! recession while the flow is watched. At such a turn the viscosity has a kink, which costs a step
-//! its smooth error (though not its order) and makes slopes wander.
+//! The flow is a slow smooth motion on a lattice, so that few pairs change from approaching to
+//! receding during the test. At such a change the viscosity has a kink. It does not lower the order
+//! of a step, but its error is not smooth there, and slopes would scatter.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -24,7 +24,7 @@ in_2d_and_3d!(
     the_papers_step_is_second_order_without_viscosity_and_forcing,
 );
 
-/// Steps at the coarsest `dt`, and how often they are halved.
+/// Steps at the coarsest `dt`, and number of halvings.
 const COARSE: usize = 4;
 const HALVINGS: u32 = 4;
 
@@ -42,7 +42,7 @@ fn at_the_end<const D: usize>(scene: &Scene, refinement: usize) -> State<D> {
     after(&mut Flow::from_state(&scene, &state).unwrap(), COARSE * refinement)
 }
 
-/// The order that the error against a much finer flow of second order shows.
+/// The order of the error, measured against a much finer flow of second order.
 fn order<const D: usize>(scene: &Scene) -> f64 {
     let mut fine = scene.clone();
     fine.time.step = Step::TwoForce;
@@ -80,7 +80,7 @@ fn one_force_is_first_order<const D: usize>() {
     assert!((order - 1.0).abs() < 0.15, "order {order}");
 }
 
-/// The first order comes from forces that see the velocity, and from nothing else.
+/// The first order is due to forces that depend on velocity, and to nothing else.
 fn the_papers_step_is_second_order_without_viscosity_and_forcing<const D: usize>() {
     for step in [Step::Paper, Step::OneForce] {
         let mut scene = scene::<D>(step);

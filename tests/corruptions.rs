@@ -1,6 +1,6 @@
-//! A thousand random corruptions of a small flow whose answer is known: of its scene's text, of its arrays and of its
-//! recording. Each must be refused, be said, or change nothing that matters: none may end with success and a wrong
-//! number without a word.
+//! A thousand random corruptions of a small flow with a known answer: of its scene's text, of its
+//! arrays and of its recording. Each must be refused, be reported, or have no effect: none may end
+//! in success with a wrong number and without a warning.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -18,27 +18,27 @@ use whirls::run::admit;
 use whirls::truth::Truth;
 use whirls::{Result, Scene};
 
-/// Corruptions of each of the three.
+/// Number of corruptions of each of the three.
 const TRIALS: u64 = 334;
 
-/// A learned parameter may be off by this share of it before it counts as wrong: what warnings begin at, a per cent
-/// of positions against velocities, moves α and β by that much.
+/// Relative error of a learned parameter above which it is wrong. A deviation of one per cent
+/// between positions and velocities, at which warnings begin, changes α and β by that much.
 const WRONG: f64 = 0.05;
 
-/// What came of a corrupted input.
+/// The outcome of a corrupted input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Outcome {
-    /// Refused, or the search failed aloud.
+    /// Refused, or the search failed with an error.
     Refused,
-    /// Taken with a warning.
+    /// Accepted with a warning.
     Warned,
-    /// Taken without a word, with the right answer.
+    /// Accepted without a warning, with the right answer.
     Right,
-    /// Taken without a word, with a wrong answer.
+    /// Accepted without a warning, with a wrong answer.
     Wrong,
 }
 
-/// Learns from a recording in a scene, from the right answer on: an answer that stays is right.
+/// Learns from a recording in a scene, starting from the right answer, which then does not change.
 fn learn(scene: &Scene, recording: &Path) -> Result<(Outcome, [f64; 4])> {
     let mut scene = scene.clone();
     let learn = scene.learning()?.clone();
@@ -72,7 +72,7 @@ fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
     (random.random::<f64>() * count as f64) as usize % count.max(1)
 }
 
-/// Changes bytes: one bit, one byte, a part left out, an end cut off.
+/// Changes bytes: one bit, one byte, a part removed, an end cut off.
 fn spoil_bytes(bytes: &mut Vec<u8>, random: &mut ChaCha8Rng) -> String {
     let at = below(random, bytes.len());
     match below(random, 4) {
@@ -122,7 +122,7 @@ fn spoil_text(text: &str, random: &mut ChaCha8Rng) -> (Vec<u8>, String) {
     (lines.join("\n").into_bytes(), format!("text by {kind} at line {at}"))
 }
 
-/// Changes the numbers of a flow: one of them, all of a kind, the order of rows or of frames.
+/// Changes the numbers of a flow: one of them, all of one quantity, the order of rows or of frames.
 fn spoil_flow(flow: &mut Truth<2>, random: &mut ChaCha8Rng) -> String {
     let (k, i, axis) = (below(random, 11), below(random, 64), below(random, 2));
     let values = [f64::NAN, 0.0, 1e300, f64::INFINITY, -1.0, 3.0];
@@ -148,7 +148,7 @@ fn spoil_flow(flow: &mut Truth<2>, random: &mut ChaCha8Rng) -> String {
         _ => drop(flow.states.remove(k)),
     }
     if kind == 10 {
-        // The clock of the frames goes on as if nothing had happened.
+        // The times of the frames continue as if nothing had happened.
         (0..11).for_each(|k| flow.states[k].time = 0.02 * k as f64);
     }
     flow.densities.truncate(flow.states.len());

@@ -1,4 +1,4 @@
-//! Numbers that the discretisation is known by: lattice densities, sound speeds, shear viscosities.
+//! Known properties of the discretisation: lattice densities, sound speeds, shear viscosities.
 //!
 //! They are properties of kernel, spacing and dimension, known to the digits written here from an
 //! evaluation independent of this engine.
@@ -56,7 +56,7 @@ fn lattice_densities_are_the_known_ones() {
 #[test]
 fn a_lone_particle_has_the_density_of_its_own_kernel() {
     let mut scene = common::scene::<3>(8);
-    // All mass in one place: whether that could take a step is not asked.
+    // All mass in one place; no step is taken.
     scene.limits.courant = f64::MAX;
     let h = scene.fluid.smoothing_length;
     let mut flow = started(&scene, &common::cloud::<3>(1, scene.fluid.box_length, 1));
@@ -64,8 +64,8 @@ fn a_lone_particle_has_the_density_of_its_own_kernel() {
     assert!((flow.densities()[0] / own - 1.0).abs() < 1e-14);
 }
 
-/// `c_num/c` of a plane wave: the frequency of a longitudinal displacement `ε sin kx`, from the force
-/// that drives it back, over `kc` with the fluid's `c` at the density that the lattice has.
+/// `c_num/c` of a plane wave: the frequency of a longitudinal displacement `ε sin kx`, from its
+/// restoring force, divided by `kc` with the fluid's `c` at the density of the lattice.
 fn sound_speed<const D: usize>(h: f64, k: f64) -> f64 {
     // Small enough that its square is below the digits, large enough that round-off is.
     let epsilon = 1e-5;
@@ -99,15 +99,15 @@ fn sound_travels_on_a_lattice_at_the_known_speeds() {
         for (k, known) in [1.0, 2.0, 4.0].into_iter().zip(known) {
             let found = speed(h, k);
             println!("{dimension}, h {h:.4}, k {k}: c_num/c {found:.5}, known {known}");
-            // Half of the last digit written, and a hair: one of them is a tie.
+            // Half of the last digit, with a small margin because one of them is a tie.
             assert!((found - known).abs() < 0.51e-4, "{dimension} {h} {k}: {found} {known}");
         }
     }
 }
 
-/// `ν/(α c h)` of a transverse wave of the longest wavelength, from the force that brakes it less that
-/// of the same places at rest. The particles are moved by up to `jitter` of their distance; the wave
-/// runs along an axis, or along a diagonal.
+/// `ν/(α c h)` of a transverse wave of the longest wavelength, from the force that brakes it minus
+/// that at rest at the same positions. The particles are displaced by up to `jitter` of their
+/// distance; the wave runs along an axis, or along a diagonal.
 fn shear_viscosity<const D: usize>(h: f64, jitter: f64, diagonal: bool) -> f64 {
     let epsilon = 1e-3;
     let mut scene = scene::<D>(h);
@@ -136,8 +136,8 @@ fn shear_viscosity<const D: usize>(h: f64, jitter: f64, diagonal: bool) -> f64 {
     brake / square / (scene.fluid.alpha * scene.fluid.c * h)
 }
 
-/// Known values are those of flows, which are between a lattice and full disorder; a lattice has
-/// other values along its diagonals.
+/// Known values are those of flows, which are between a lattice and full disorder; along its
+/// diagonals a lattice has other values.
 #[test]
 fn the_shear_viscosity_lies_between_that_of_a_lattice_and_that_of_disorder() {
     for (name, viscosity, h, known) in [
@@ -153,8 +153,8 @@ fn the_shear_viscosity_lies_between_that_of_a_lattice_and_that_of_disorder() {
     }
 }
 
-/// Without a lattice no direction is special. Four clouds of thousands of particles leave a scatter
-/// of about one in a hundred.
+/// Without a lattice all directions are equivalent. Four clouds of thousands of particles scatter
+/// by about one in a hundred.
 #[test]
 fn the_shear_viscosity_of_disorder_is_the_same_in_every_direction() {
     for (along, across) in [

@@ -1,4 +1,4 @@
-//! The same bits: for any number of threads, on every run, after every reset.
+//! Bitwise reproducibility: for any number of threads, in every run, after every reset.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -22,7 +22,7 @@ in_2d_and_3d!(
     a_reset_flow_with_other_parameters_forgets_the_old_ones,
 );
 
-/// Particles of more than three chunks, so that threads do share the work.
+/// Particles of more than three chunks, so that threads share the work.
 fn scene<const D: usize>() -> Scene {
     let mut scene = common::scene::<D>(if D == 2 { 30 } else { 10 });
     scene.initial.jitter = 0.1 * common::spacing(&scene);

@@ -1,5 +1,5 @@
-//! What comes in is held against itself and against the scene: each kind of mistake is refused or named, with what to
-//! do about it, and what is right passes without a word.
+//! Checks of input data against themselves and the scene: each kind of mistake is refused or
+//! reported with a remedy, and valid data are accepted without a warning.
 
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
@@ -15,7 +15,7 @@ use whirls::truth::{Truth, summed_densities};
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Result, Scene};
 
-/// What the door says of states that were recorded by one scene and are learned from in another.
+/// The findings for states that were recorded by one scene and are learned from in another.
 fn admitted(truth: &Truth<2>, by: &Scene, into: &Scene, force: bool) -> Result<Admitted<2>> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("truth.mcap");
@@ -24,7 +24,7 @@ fn admitted(truth: &Truth<2>, by: &Scene, into: &Scene, force: bool) -> Result<A
     admit(&Recording::open(&path).unwrap(), into, (0, frames), force)
 }
 
-/// Refuses with these words, and takes it with a warning of the same words where it is forced.
+/// Asserts a refusal with these words, and a warning with the same words if it is forced.
 #[track_caller]
 fn refused(truth: &Truth<2>, (by, into): (&Scene, &Scene), parts: &[&str]) {
     let error = admitted(truth, by, into, false).unwrap_err();
@@ -38,7 +38,7 @@ fn refused(truth: &Truth<2>, (by, into): (&Scene, &Scene), parts: &[&str]) {
     assert!(!forced.warnings.is_empty(), "taken without a word");
 }
 
-/// Refuses with these words, forced or not.
+/// Asserts a refusal with these words, forced or not.
 #[track_caller]
 fn never(truth: &Truth<2>, parts: &[&str]) {
     for force in [false, true] {
@@ -49,7 +49,7 @@ fn never(truth: &Truth<2>, parts: &[&str]) {
     }
 }
 
-/// Takes it, with a warning of these words.
+/// Asserts acceptance with a warning of these words.
 #[track_caller]
 fn warned(truth: &Truth<2>, (by, into): (&Scene, &Scene), parts: &[&str]) -> Truth<2> {
     let admitted = admitted(truth, by, into, false).unwrap();
@@ -362,7 +362,7 @@ fn rows_are_put_into_the_order_of_their_ids_and_ids_given_twice_are_refused() {
     assert!(error.to_string().contains("particle 63 in frame 4"), "{error}");
 }
 
-/// Writes a recording again with its rows of 64 bytes changed, frame by frame.
+/// Writes a recording again, with its rows of 64 bytes changed frame by frame.
 fn rewrite(from: &Path, to: &Path, change: impl Fn(usize, &mut Vec<Vec<u8>>)) {
     let bytes = std::fs::read(from).unwrap();
     let mut writer = mcap::WriteOptions::new().create(std::fs::File::create(to).unwrap()).unwrap();
@@ -371,7 +371,7 @@ fn rewrite(from: &Path, to: &Path, change: impl Fn(usize, &mut Vec<Vec<u8>>)) {
         let mut message = message.unwrap();
         if message.channel.topic == "/truth/particles" {
             let mut data = message.data.to_vec();
-            // The rows stand before the last nine bytes of the time, and perhaps three of the step.
+            // The rows end nine bytes of time, and possibly three bytes of step, before the end.
             let rows = 64 * 64;
             let tail = data.len() - rows;
             let start = (0..=tail).rev().find(|&s| is_first_row(&data[s..s + rows])).unwrap();
@@ -391,7 +391,7 @@ fn rewrite(from: &Path, to: &Path, change: impl Fn(usize, &mut Vec<Vec<u8>>)) {
     writer.finish().unwrap();
 }
 
-/// Whether the rows that begin here are numbered from zero on.
+/// Whether the rows starting here are numbered from zero.
 fn is_first_row(rows: &[u8]) -> bool {
     (0..64_u32).all(|k| rows[64 * k as usize + 56..][..4] == k.to_le_bytes())
 }
@@ -403,7 +403,8 @@ fn a_state_outside_the_box_makes_the_same_bits_as_its_image_inside() {
     let start = Flow::<2>::new(&own).unwrap().state();
     let mut moved = start.clone();
     for (k, r) in moved.positions.iter_mut().enumerate() {
-        // Whole boxes away, and back by the same subtraction, so that both are the same place to the bit.
+        // Whole boxes away, and back by the same subtraction, so that both positions are equal to
+        // the bit.
         let away = Vector(r.0.map(|x| x + length * (k % 3) as f64 - length));
         let space = whirls::space::PeriodicBox { length };
         *r = space.wrap(away);

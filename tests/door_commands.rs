@@ -1,5 +1,5 @@
-//! The door as a shell sees it: what is given in place of something else, clouds of other programs, truths of learned
-//! models, and options that are no numbers.
+//! Checks of input data as seen by a shell: wrong kinds of files, point clouds of other programs,
+//! truths of learned models, and options that are not numbers.
 
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
@@ -145,7 +145,7 @@ fn a_model_of_recorded_particles_is_evaluated_against_them() {
     place.refuses("evaluate", &evaluate, &["another file of that name", "--truth SCENE"]);
     std::fs::remove_file(place.path("real.mcap")).unwrap();
     place.refuses("evaluate", &evaluate, &["no such file", "--truth FILE.mcap"]);
-    // Asked for, a flow of the scene is what it is compared with.
+    // On request it is compared with a flow of the scene.
     let asked =
         [&evaluate[..], &["--truth", "flow.toml", "--steps", "10", "--every", "5"]].concat();
     place.json("evaluate", &asked);

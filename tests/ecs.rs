@@ -1,5 +1,5 @@
-//! A World may be used as one: components, entities and systems of a caller's own leave the fluid its bits, or are
-//! refused by name.
+//! A World can be used as such: a user's components, entities and systems do not change the bits of
+//! the fluid, or are refused by name.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -25,11 +25,11 @@ in_2d_and_3d!(
     a_particle_that_is_there_twice_is_refused_by_name,
 );
 
-/// A mark of a caller's own.
+/// A user's marker.
 #[derive(Component)]
 struct Marked;
 
-/// A number of a caller's own.
+/// A user's number.
 #[derive(Component)]
 struct Colour(#[expect(dead_code, reason = "it only has to be there")] u8);
 
@@ -61,15 +61,15 @@ fn bits<const D: usize>(state: &State<D>) -> Vec<u64> {
     all.flat_map(|x| x.0.map(f64::to_bits)).collect()
 }
 
-/// Every bit that an evaluation finds.
+/// All bits of an evaluation.
 fn found(evaluation: &Evaluation) -> Vec<u64> {
     let e = evaluation;
     let all = [e.loss, e.trajectory, e.field, e.kl].into_iter();
     all.chain(e.gradient.clone()).chain(e.normal.clone()).map(f64::to_bits).collect()
 }
 
-/// Flows, losses and gradients with a World that `change` was done to, before the first step or between two, have the
-/// bits of those without.
+/// Flows, losses and gradients with a World that `change` modifies, before the first step or
+/// between two, have the same bits as without.
 fn same_bits<const D: usize>(change: impl Fn(&mut World), after: usize) {
     for step in [Step::KickDriftKick, Step::Paper] {
         let scene = scene::<D>(step);
@@ -96,7 +96,7 @@ fn same_bits<const D: usize>(change: impl Fn(&mut World), after: usize) {
             let [mut plain, mut changed] =
                 [(); 2].map(|()| learner::<D>(&scene, gradient, storage));
             if after > 0 {
-                // An evaluation before: the change comes to a flow that has run.
+                // An evaluation before: the change applies to a flow that has run.
                 changed.evaluate(&at, FRAMES).unwrap();
             }
             change(changed.flow_mut().world_mut());
@@ -138,7 +138,7 @@ fn an_entity_with_a_position_that_is_no_particle_changes_no_bit<const D: usize>(
     };
     same_bits::<D>(spawn, 0);
     same_bits::<D>(spawn, 3);
-    // A probe stays where it is.
+    // A probe does not move.
     let scene = scene::<D>(Step::KickDriftKick);
     let mut flow = Flow::<D>::from_state(&scene, &shaken(&scene)).unwrap();
     let probe = flow.world_mut().spawn((Position(here), Velocity(Vector([1.0; D])))).id();
@@ -166,7 +166,7 @@ fn a_despawned_particle_is_refused_by_name<const D: usize>() {
         let gone = entity(&mut flow, particle);
         flow.world_mut().despawn(gone);
         refused(flow.step(), &format!("no entity with Identity({particle}): it was despawned"));
-        // What can still be asked does not panic.
+        // Queries that are still possible do not panic.
         let _ = (flow.state(), flow.densities(), flow.accelerations());
     }
     for gradient in [Gradient::Forward, Gradient::Adjoint] {
@@ -176,7 +176,7 @@ fn a_despawned_particle_is_refused_by_name<const D: usize>() {
         let result = learner.evaluate(&[8.0, 0.7, 2.6, 5.2], FRAMES).map(|_| ());
         refused(result, "no entity with Identity(5)");
     }
-    // A system of the step that takes one away.
+    // A system of the step that removes one.
     let mut flow = Flow::<D>::from_state(&scene, &shaken(&scene)).unwrap();
     let take = |particles: Query<(Entity, &Identity)>, mut commands: Commands| {
         for (entity, _) in particles.iter().filter(|(_, id)| id.0 == 3) {

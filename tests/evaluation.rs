@@ -1,4 +1,4 @@
-//! What an evaluation says of models whose answers are known.
+//! Evaluations of models with known answers.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -133,7 +133,8 @@ fn a_model_that_diverges_is_a_result_beside_the_others() {
 fn a_model_that_diverges_at_its_first_state_is_a_row_with_step_zero() {
     let folder = tempfile::tempdir().unwrap();
     let scene = small("physics-3d", &[]);
-    // A sound a hundred times too fast for the step, and one that only the faster flows break.
+    // A sound speed a hundred times too large for the step, and one at which only the faster flows
+    // diverge.
     let with = |c: f64| {
         candidate(scene.clone(), move |p| {
             p.iter().map(|p| if *p == Parameter::C { c } else { 1.0 }).collect()
@@ -207,7 +208,7 @@ fn a_model_of_another_kind_of_particles_is_refused() {
 #[test]
 fn recorded_particles_are_a_truth_too() {
     let place = Place::new();
-    // A step that carries no force: it goes on from a recorded state as from its own.
+    // A step that carries no force: it continues from a recorded state as from its own.
     let text = place::SMALL.replace("[time]", "[time]\nstep = \"paper\"");
     std::fs::write(place.path("small.toml"), text).unwrap();
     let flow = ["small.toml", "--steps", "40", "--record", "flow.mcap"];
@@ -218,7 +219,7 @@ fn recorded_particles_are_a_truth_too() {
     assert_eq!(found["realisations"], 2);
     let error = found["models"]["physics"]["field_over_time"].as_f64().unwrap();
     assert!(error < 1e-12, "{error}");
-    // Nobody says what law the recorded particles obey, so no other circumstances are tried.
+    // The law of recorded particles is unknown, so that no other circumstances are tried.
     assert_eq!(found["models"]["physics"]["field_over_strength"], Value::Null);
     place.refuses(
         "evaluate",
@@ -296,7 +297,7 @@ fn a_reproduction_goes_on_where_it_was_killed() {
     assert!(
         shares.len() > 2 && shares.is_sorted() && shares.iter().all(|s| (0.0..=1.0).contains(s))
     );
-    // Another seed is another result; half a training is none.
+    // Another seed is another result; an incomplete training is none.
     assert!(!Reproduction { seed: 2, ..reproduction.clone() }.is_done(stage).unwrap());
     assert!(!Reproduction { quick: false, ..reproduction.clone() }.is_done(stage).unwrap());
     std::fs::remove_file(folder.path().join("field/physics.done.json")).unwrap();

@@ -1,7 +1,7 @@
-//! Where a flow holds, where it breaks, and what the program then does: it holds, or it stops with a
-//! reason; it never goes on with a number that means nothing.
+//! Where a flow holds and where it fails. The program continues with valid numbers, or stops with a
+//! reason; it never continues with meaningless numbers.
 //!
-//! `cargo test --release --test extremes -- --nocapture` prints what the README's table says.
+//! `cargo test --release --test extremes -- --nocapture` prints the README's table.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -41,7 +41,7 @@ fn small<const D: usize>() -> Scene {
     common::scene::<D>(if D == 2 { 12 } else { 8 })
 }
 
-/// Runs a flow: the last state, or why it stopped. Whatever it hands out is finite.
+/// Runs a flow: the last state, or the reason why it stopped. Everything it returns is finite.
 fn run<const D: usize>(scene: &Scene, state: &State<D>, steps: usize) -> Result<State<D>, Error> {
     let mut flow = Flow::from_state(scene, state)?;
     flow.start()?;
@@ -54,7 +54,7 @@ fn run<const D: usize>(scene: &Scene, state: &State<D>, steps: usize) -> Result<
     Ok(state)
 }
 
-/// Whether a run was refused for a reason that names a remedy.
+/// Whether a run was refused with a remedy.
 fn refused<const D: usize>(outcome: &Result<State<D>, Error>) -> bool {
     match outcome {
         Ok(_) => false,
@@ -95,13 +95,13 @@ fn highest_frequency<const D: usize>(scene: &Scene) -> f64 {
     square.sqrt()
 }
 
-/// A kick–drift–kick step of an oscillation of frequency `ω` is stable while `ω dt < 2`, and beyond it
-/// grows by `2 arcosh(ω dt/2)` a step. (A lattice also has slow instabilities of its own, which no step
-/// cures: rates are compared, not sizes.)
+/// A kick–drift–kick step of an oscillation of frequency `ω` is stable while `ω dt < 2`, and beyond
+/// it grows by `2 arcosh(ω dt/2)` per step. (A lattice also has slow instabilities at any step, so
+/// that rates are compared, not sizes.)
 fn the_largest_stable_step_is_that_of_linear_theory<const D: usize>() {
     let mut scene = small::<D>();
     (scene.fluid.alpha, scene.fluid.beta) = (0.0, 0.0);
-    // The watch shall not stop what is to be seen growing.
+    // The limits must not stop the growth that is observed here.
     (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
     let omega = highest_frequency::<D>(&scene);
     let (h, c) = (scene.fluid.smoothing_length, scene.fluid.c);
@@ -210,7 +210,8 @@ fn any_strength_of_stirring_runs_or_is_refused_with_a_reason<const D: usize>() {
 
 fn one_particle_and_two_are_a_flow<const D: usize>() {
     let mut scene = small::<D>();
-    // Two particles that fill the box are heavy; with γ = 1 sound is no faster in them.
+    // Two particles that fill the box have a large mass; with γ = 1 the sound speed does not depend
+    // on density.
     scene.fluid.gamma = 1.0;
     let alone = State::<D> {
         time: 0.0,
@@ -273,7 +274,8 @@ fn a_void_fills<const D: usize>() {
 fn a_hundredfold_density_pushes_apart<const D: usize>() {
     let mut scene = small::<D>();
     let mut start = lattice::<D>(&scene);
-    // Three hundred particles on top of the first, each with half of its own in the middle of its kernel.
+    // Three hundred particles on top of the first, each with half of the others in the middle of
+    // its kernel.
     let close = common::cloud::<D>(300, 0.1 * scene.fluid.smoothing_length, 6).positions;
     start.velocities.extend(close.iter().map(|_| Vector::zero()));
     start.positions.extend(close);
@@ -286,7 +288,7 @@ fn a_hundredfold_density_pushes_apart<const D: usize>() {
     let text = outcome.as_ref().map_or_else(ToString::to_string, |_| "runs".to_owned());
     println!("{D}D at the usual step: {text}");
     assert!(refused(&outcome));
-    // Sound in there is faster by (ρ/ρ₀)³, and energy is that of its pressure.
+    // Sound there is faster by (ρ/ρ₀)³, and the energy is that of the pressure.
     scene.time.courant = 0.1 / high.powi(3);
     scene.limits.energy = f64::MAX;
     let end = run(&scene, &start, 50).unwrap();
@@ -305,8 +307,8 @@ fn a_box_of_four_smoothing_lengths_runs<const D: usize>() {
     assert!(error.to_string().contains("at most half the box"), "{error}");
 }
 
-/// With many neighbours the cubic spline lets particles pair up; a Wendland kernel does not (Dehnen &
-/// Aly 2012).
+/// With many neighbours particles pair up with the cubic spline, but not with a Wendland kernel
+/// (Dehnen & Aly 2012).
 #[test]
 fn many_neighbours_pair_up_with_the_cubic_spline_and_not_with_wendland() {
     let closest = |kernel: KernelName, ratio: f64| {
@@ -418,8 +420,8 @@ fn networks_with_huge_weights_run_or_are_refused_with_a_reason<const D: usize>()
     assert!(ran > 0, "saturated units move particles gently enough");
 }
 
-/// Loss and gradient of a small flow whose network has weights of a size, of either sign: all of them, or
-/// only those of its hidden layers, so that what comes out stays moderate.
+/// Loss and gradient of a small flow with network weights of a given size, of either sign: all of
+/// them, or only those of its hidden layers, so that the output stays moderate.
 fn learn_with_weights<const D: usize>(
     model: &str,
     (size, what): (f64, &str),
@@ -439,7 +441,7 @@ fn learn_with_weights<const D: usize>(
     for (k, weight) in weights[..count].iter_mut().enumerate() {
         *weight = size * (1.3 * k as f64 + 0.2).sin().signum();
     }
-    // Forward alone first: what it hands out is finite.
+    // The forward flow alone first: everything it returns is finite.
     let mut flow = Flow::<D>::build(&scene, &truth.states[0], None, None).unwrap();
     flow.set_learned(learner.columns(), &weights).unwrap();
     let alone = flow.start().and_then(|()| flow.step()).and_then(|()| flow.step());
@@ -465,7 +467,7 @@ fn learning<const D: usize>(model: &str) -> Scene {
     Scene::open(if D == 2 { "inverse-2d" } else { "inverse-3d" }, &overrides).unwrap()
 }
 
-/// A prediction whose increments have no value in common with the truth's.
+/// A prediction with increments that have no value in common with the truth's.
 fn increments_on_disjoint_supports_give_a_large_finite_loss_with_a_finite_gradient<
     const D: usize,
 >() {

@@ -1,4 +1,4 @@
-//! What a first-order search records, and what it ends with.
+//! The iterations and the result of a first-order search.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -7,7 +7,7 @@ use whirls::learn::{Evaluation, Learner, Outcome};
 use whirls::optimisers::{Adam, Descend, Rmsprop};
 use whirls::truth::Truth;
 
-/// An iteration as it was watched: index, window, rate, evaluation, whether it went back.
+/// A recorded iteration: index, window, rate, evaluation, whether the search returned to it.
 type Row = (usize, usize, f64, Evaluation, bool);
 
 fn search(optimiser: &str, more: &[&str]) -> (Vec<Row>, Outcome) {
@@ -38,7 +38,7 @@ fn search(optimiser: &str, more: &[&str]) -> (Vec<Row>, Outcome) {
     (rows, outcome)
 }
 
-/// Row `k` stands behind `k` updates, and the last row is the outcome.
+/// Row `k` comes after `k` updates, and the last row is the outcome.
 fn follows(mut optimiser: impl Descend, (rows, outcome): (Vec<Row>, Outcome)) {
     assert_eq!(rows.len(), 13);
     let mut at = rows[0].3.parameters.clone();

@@ -1,4 +1,5 @@
-//! Where a search cannot begin it goes elsewhere, and says why: guesses, stages, data, particles without neighbours.
+//! A search that cannot begin at its start begins elsewhere and reports why: guesses, stages, data,
+//! particles without neighbours.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -31,7 +32,7 @@ fn search(scene: &Scene, truth: &Truth<3>) -> whirls::Result<Outcome> {
     Ok(outcome)
 }
 
-/// Whether a search comes home and one of its remarks has these words.
+/// Whether a search converges, and one of its remarks has these words.
 fn comes_home_with(scene: &Scene, words: &[&str]) {
     let outcome = search(scene, &truth()).unwrap();
     let found = &outcome.evaluation.parameters;
@@ -50,7 +51,7 @@ fn a_guess_that_diverges_at_once_is_left_for_another() {
 
 #[test]
 fn a_guess_of_no_sound_is_moved_off_the_edge() {
-    // A scene refuses such a guess; one that was made in code does not pass there.
+    // A scene refuses such a guess; a guess made in code is not checked there.
     let mut scene = scene(&[]);
     scene.learn.as_mut().unwrap().guess.insert("c".to_owned(), 0.0);
     comes_home_with(&scene, &["the guess c = 0", "begins at 0.5"]);

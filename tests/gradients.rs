@@ -86,8 +86,8 @@ fn guess(scene: &Scene) -> Vec<f64> {
 }
 
 /// The slope of the loss along `direction` from central differences, with the step at which it is
-/// nearest to `exact`: `(relative difference, step)`. Too long a step sees the curvature and more
-/// pairs that turn from approach to recession, too short a one round-off.
+/// nearest to `exact`: `(relative difference, step)`. A long step suffers from curvature and from
+/// pairs that change from approaching to receding, a short one from round-off.
 fn best_difference<const D: usize>(
     learner: &mut Learner<D>,
     (at, direction): (&[f64], &[f64]),
@@ -149,8 +149,8 @@ fn forward_gradients_equal_central_differences<const D: usize>() {
     assert!(wrong.is_empty(), "{} wrong gradients:\n{}", wrong.len(), wrong.join("\n"));
 }
 
-/// At a loss of `Σ w R²` the Gauss–Newton matrix is `Σ w J Jᵀ`; at the truth itself, where `R = 0`,
-/// twice it is the second derivative, and so what the gradient's differences show.
+/// At a loss of `Σ w R²` the Gauss–Newton matrix is `Σ w J Jᵀ`; at the truth, where `R = 0`, twice
+/// the matrix is the second derivative, which differences of the gradient give.
 fn the_normal_matrix_is_that_of_the_gradients<const D: usize>() {
     for loss in [TRAJECTORY, FIELD] {
         let scene = scene::<D>(Step::KickDriftKick, &FORCINGS[2].1, loss);
@@ -225,7 +225,7 @@ fn the_order_of_the_parameters_does_not_matter<const D: usize>() {
     }
 }
 
-/// The evaluation of a learner of some parameters where the others have values of their own, too.
+/// The evaluation of a learner of some parameters, where the others also have given values.
 fn with_fixed<const D: usize>(
     learner: &mut Learner<D>,
     scene: &Scene,
@@ -266,9 +266,9 @@ fn sensitivities<const D: usize>(flow: &mut Flow<D>) -> [Vec<u64>; 3] {
     [0, 1, 2].map(|k| rows.iter().flat_map(|(_, parts)| parts[k].clone()).collect())
 }
 
-/// Before anything has moved, a force depends on the parameters only directly, and there local
-/// sensitivities miss nothing: δF at the start, and δr and δv½ of the first drift. The next force
-/// sees δr of the neighbours, which they drop.
+/// Before particles move, a force depends on the parameters only directly, so that local
+/// sensitivities are complete: δF at the start, and δr and δv½ of the first drift. The next force
+/// depends on δr of the neighbours, which they drop.
 fn local_coupling_is_exact_at_the_first_force_and_never_again<const D: usize>() {
     for step in Step::ALL {
         for (name, forcing) in &FORCINGS {
@@ -310,11 +310,11 @@ fn a_flow_that_learns_nothing_carries_no_sensitivities<const D: usize>() {
     assert_eq!(learning.world().resource::<SensitivityCloud<D>>().blocks.len(), 1);
     let world = learning.world_mut();
     assert_eq!(world.query::<&BlockOf>().iter(world).count(), state.positions.len());
-    // Watching changes nothing: the flow beside its sensitivities has the bits of the plain one.
+    // Carrying sensitivities changes nothing: the flow has the bits of the plain one.
     assert_eq!(learning.state(), plain.state());
 }
 
-/// Eleven parameters do not fit eight lanes: two blocks, whose products lie across both.
+/// Eleven parameters do not fit eight lanes: there are two blocks, and products of both.
 #[test]
 fn a_square_sum_over_two_blocks_is_that_of_all_its_columns() {
     const COUNT: usize = 11;

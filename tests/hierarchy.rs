@@ -1,4 +1,4 @@
-//! The hierarchy of models: every gradient agrees with every other, and what is conserved is.
+//! The hierarchy of models: all modes of differentiation agree, and conservation laws hold.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -22,7 +22,7 @@ in_2d_and_3d!(
     checkpoints_give_the_bits_of_full_storage_for_every_model,
 );
 
-/// Every model, in both of its forms where it has two, with the momentum it promises to keep.
+/// Every model, in both of its forms if it has two, with the momentum that it conserves.
 const MODELS: [(&str, bool); 11] = [
     ("{kind='physics'}", true),
     ("{kind='eos-nn',height=4}", true),
@@ -44,7 +44,7 @@ const LOSSES: [(&str, &str); 4] = [
     ("field+kl", "{trajectory=0.0,field=2.0,kl=0.5}"),
 ];
 
-/// What stands beside or inside the physics, with the values that it has in the truth and in the guess.
+/// Additional terms beside or inside the physics, with their values in the truth and in the guess.
 struct Guest {
     overrides: &'static [&'static str],
     learned: &'static str,
@@ -91,13 +91,13 @@ const GUESTS: [Guest; 7] = [
 
 const FRAMES: usize = 3;
 
-/// A small rough flow: every term of every force at work.
+/// A small rough flow with every term of every force.
 fn scene<const D: usize>(model: &str, step: &str, loss: &str) -> Scene {
     let (name, side, h) = if D == 2 { ("inverse-2d", 12, 0.533) } else { ("inverse-3d", 7, 0.766) };
     let physical = if model.contains("physics") {
         "['c','alpha','beta','gamma','theta']"
     } else {
-        // Beside its weights a model may learn what is known of it.
+        // In addition to its weights a model may learn physical parameters.
         "['c','theta','alpha']"
     };
     let overrides = [
@@ -129,8 +129,9 @@ fn learner<const D: usize>(scene: &Scene, gradient: Gradient) -> Learner<D> {
     Learner::new(&scene, truth.states[0].clone(), observations).unwrap()
 }
 
-/// How far the best of several central differences along a direction is from the slope that a gradient
-/// gives there, as a share of that slope, or of a thousandth of both lengths where that is more.
+/// Smallest difference between central differences along a direction and the slope given by a
+/// gradient, relative to that slope or, if it is larger, to a thousandth of the product of both
+/// lengths.
 fn difference<const D: usize>(
     learner: &mut Learner<D>,
     (at, direction): (&[f64], &[f64]),
@@ -175,7 +176,8 @@ fn forward_adjoint_and_differences_agree_for_every_model_loss_and_step<const D: 
                 let size = largest(a.gradient.iter().map(|g| g.abs()));
                 let gap =
                     largest(a.gradient.iter().zip(&b.gradient).map(|(a, b)| (a - b).abs() / size));
-                // Along the gradient, and across it, where what both ways forget would show.
+                // Along the gradient, and perpendicular to it, which would show an error common to
+                // both modes.
                 let along: Vec<f64> = a.gradient.iter().map(|g| g / size).collect();
                 let across: Vec<f64> =
                     (0..at.len()).map(|k| (1.7 * k as f64 + 0.3).sin()).collect();
@@ -214,7 +216,8 @@ fn forward_adjoint_and_differences_agree_for_every_guest<const D: usize>() {
                 let size = largest(a.gradient.iter().map(|g| g.abs()));
                 let gap =
                     largest(a.gradient.iter().zip(&b.gradient).map(|(a, b)| (a - b).abs() / size));
-                // Each parameter by itself, so that a small share cannot hide behind a large one.
+                // Each parameter separately, so that a small derivative is not hidden by a large
+                // one.
                 let alone = (0..at.len().min(5)).map(|k| {
                     let alone = |other: usize| if other == k { at[k].abs() } else { 0.0 };
                     let direction: Vec<f64> = (0..at.len()).map(alone).collect();
@@ -247,7 +250,8 @@ fn by_parameters<const D: usize>(flow: &mut Flow<D>) -> Vec<u64> {
     lanes.flat_map(|lanes| lanes.to_array().map(f64::to_bits)).collect()
 }
 
-/// At the start a force depends on the parameters only directly, and local coupling misses nothing.
+/// At the start a force depends on the parameters only directly, so that local coupling is
+/// complete.
 fn local_coupling_is_exact_at_the_first_force_of_every_model<const D: usize>() {
     for (model, _) in MODELS {
         let scene = scene::<D>(model, "kick-drift-kick", LOSSES[1].1);
@@ -286,7 +290,7 @@ fn antisymmetric_models_keep_momentum_and_the_others_say_how_much_they_lose() {
     for (model, keeps) in MODELS {
         let scene = scene::<3>(model, "kick-drift-kick", LOSSES[1].1);
         let mut flow = Flow::<3>::build(&scene, &common::shaken(&scene), None, None).unwrap();
-        // With biases at zero a network is odd, and `nn-sum` keeps momentum by accident.
+        // With zero biases a network is odd, and `nn-sum` conserves momentum by accident.
         let weights: Vec<f64> = (0..flow.weights().len()).map(|k| (1.3 * k as f64).sin()).collect();
         flow.set_weights(&weights);
         flow.start().unwrap();
@@ -302,7 +306,7 @@ fn antisymmetric_models_keep_momentum_and_the_others_say_how_much_they_lose() {
     }
 }
 
-/// A free cluster that does not reach around the box: its angular momentum is well defined.
+/// An isolated cluster smaller than the box: its angular momentum is well defined.
 #[test]
 fn central_antisymmetric_models_exert_no_torque_and_the_others_say_how_much() {
     for (model, keeps) in MODELS {
@@ -345,7 +349,7 @@ fn a_neighbour_that_enters_the_support_brings_no_jump_with_a_window_and_one_with
         let jump = |window: bool| {
             let model = format!("{{kind='{kind}',window={window}{options}}}");
             let mut scene = scene::<3>(&model, "kick-drift-kick", LOSSES[1].1);
-            // Two particles are heavy, and their pressure means nothing here.
+            // Two particles have a large mass, and their pressure is meaningless here.
             scene.limits.courant = 1e30;
             let mut accelerations = [-1e-9, 1e-9].map(|beyond| {
                 let mut state = common::two_particles::<3>(scene.fluid.box_length, 0.1);
@@ -372,8 +376,8 @@ fn the_papers_sizes_of_networks_are_the_defaults() {
         scene.learn.as_mut().unwrap().model = model;
         Flow::<3>::build(&scene, &common::shaken(&scene), None, None).unwrap().weights().len()
     };
-    // With the features listed in `models/`; the paper counts 66 and 113 for rot-inv and nn-sum, whose
-    // published code has five and twelve inputs.
+    // With the features listed in `models/`; the paper counts 66 and 113 for rot-inv and nn-sum,
+    // because their published code has five and twelve inputs.
     let found = ["physics", "eos-nn", "grad-p", "rot-inv", "nn-sum", "node"].map(weights);
     assert_eq!(found, [0, 141, 56, 61, 83, 653]);
 }

@@ -31,7 +31,7 @@ impl Arrays {
         which + (place % 512) as f64 / 64.0
     }
 
-    /// Writes an array in an order, `as_number` making its numbers from doubles.
+    /// Writes an array in an order; `as_number` converts from `f64`.
     fn write<T: AutoSerialize>(
         &self,
         (name, which): (&str, f64),
@@ -68,7 +68,7 @@ impl Arrays {
     fn import(&self, more: &[&str]) -> Output {
         let given =
             ["--positions", "r.npy", "--velocities", "v.npy", "--dt", "0.25", "--out", "out.mcap"];
-        // These numbers are no flow: what they mean is not looked at.
+        // These numbers are not a flow: their meaning is not checked.
         let given = given.into_iter().chain(["--force"]);
         let mut command = Command::new(env!("CARGO_BIN_EXE_import"));
         command.current_dir(self.folder.path()).args(given).args(more).output().unwrap()
@@ -93,7 +93,7 @@ impl Arrays {
     }
 }
 
-/// What every way of writing them must give.
+/// The result of every way of writing them.
 fn expected(dimension: usize, length: f64) -> Vec<Frame> {
     let vector = |which: f64, k: usize, i: usize| -> [f64; 3] {
         std::array::from_fn(|axis| {

@@ -1,5 +1,5 @@
-//! What the loss of velocity increments promises: a divergence, its exact gradient, and numbers in
-//! every extreme.
+//! The loss of velocity increments: a divergence, its exact gradient, and finite numbers in all
+//! extremes.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -77,7 +77,7 @@ fn the_floor_does_not_move_the_divergence_of_samples_that_overlap() {
     let (truth, predicted) = (normal(70, 4096, 0.0, 1.0), normal(71, 4096, 0.0, 1.0));
     let density = Density1d::new(&truth, NODES).unwrap();
     let x: Vec<f64> = density.nodes().collect();
-    // Without a floor, straight from the definition; bandwidths of almost equal samples.
+    // Without a floor, directly from the definition; bandwidths of almost equal samples.
     let log_density = |samples: &[f64], x: f64| {
         let count = samples.len() as f64;
         let mean = samples.iter().sum::<f64>() / count;
@@ -121,7 +121,7 @@ fn the_divergence_is_never_negative() {
 #[test]
 fn the_divergence_of_normal_samples_is_the_analytic_one() {
     let count = 20_000;
-    // Kernels of bandwidth 0.9 σ N^(−1/5) widen both.
+    // Kernels of bandwidth 0.9 σ N^(−1/5) broaden both.
     let wide = 1.0 + 0.81 * (count as f64).powf(-0.4);
     let moments = |x: &[f64]| {
         let mean = x.iter().sum::<f64>() / count as f64;
@@ -134,7 +134,8 @@ fn the_divergence_of_normal_samples_is_the_analytic_one() {
         let analytic = 0.5 * ((w / v).ln() + (v + (a - b) * (a - b)) / w - 1.0);
         let value = loss(&truth, &predicted);
         println!("{value:.5} against {analytic:.5}");
-        // A finite sample's tail ends; where the truth's reaches further, that costs a few per cent.
+        // The tail of a finite sample ends; where the truth's extends further, the error is a few
+        // per cent.
         assert!((value - analytic).abs() < 0.05 * analytic, "{value} against {analytic}");
     }
 }

@@ -1,5 +1,5 @@
-//! Kernels with a learnable shape: normalisation, table against formula, derivatives by the parameters,
-//! and how a scene spells them.
+//! Kernels with a learnable shape: normalisation, table against formula, derivatives by the
+//! parameters, and their notation in scenes.
 
 mod common;
 
@@ -63,7 +63,8 @@ fn every_table(dimension: usize) -> impl Iterator<Item = KernelTable> {
 
 fn a_table_integrates_to_one<const D: usize>() {
     for table in every_table(D) {
-        // The midpoint rule in q leaves (1/20000)² of the integrand's slopes at the ends, which are zero.
+        // The error of the midpoint rule in q is (1/20000)² times the integrand's slopes at the
+        // ends, which are zero.
         let n = 20_000;
         let step = 2.0 / f64::from(n);
         let ring = |k: i32| {
@@ -85,7 +86,7 @@ fn errors<S: LearnableShape>(at: [f64; 2], dimension: usize) -> [f64; 4] {
     let (mut apart, mut largest) = ([0.0_f64; 4], 0.0_f64);
     for k in 0..9999 {
         let q = 2e-4 * f64::from(k);
-        // Exact in dual numbers; a power has no derivative at zero that they could find.
+        // Exact with dual numbers, except that a power has no such derivative at zero.
         let slope = if k == 0 {
             0.0
         } else {
@@ -141,7 +142,7 @@ fn derivatives_by_the_parameters_are_those_of_whole_tables<const D: usize>() {
                     let apart = (exact - central).abs();
                     assert!(apart < bound, "{} by {p} at {r}: {apart:e}", shape.name);
                 };
-                // Round-off over the step; that of a slope is one of 512 intervals.
+                // Round-off divided by the step; that of a slope is larger by the 512 intervals.
                 let bound = 1e-10 * here.value(0.0);
                 near(here.value_by(p, r), around.each_ref().map(|w| w.value(r)), bound);
                 let bound = 1e-8 * here.value(0.0) / (H * H);

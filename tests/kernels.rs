@@ -75,7 +75,7 @@ fn a_kernel_integrates_to_one<const D: usize>() {
     every_kernel!(check, D);
 }
 
-/// Summed over a mesh that does not lie symmetrically around the kernel.
+/// Sums over a mesh that is not symmetric around the kernel.
 fn the_mean_place_under_a_kernel_is_its_centre<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         let nodes = if D == 2 { 400_i32 } else { 100 };
@@ -98,7 +98,7 @@ fn the_mean_place_under_a_kernel_is_its_centre<const D: usize>() {
     every_kernel!(check, D);
 }
 
-/// `∫ x ∂W/∂x dV = −1`: what makes a summed gradient of a linear field exact.
+/// `∫ x ∂W/∂x dV = −1`, which makes a summed gradient of a linear field exact.
 fn the_first_moment_of_its_gradient_is_minus_one<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         // ⟨x²⟩ over directions is r²/D, and ∂W/∂x = G x.
@@ -131,7 +131,7 @@ fn gradient_and_curvature_are_derivatives_of_the_kernel<const D: usize>() {
                 let apart = (w.curvature(r) * r - bend).abs();
                 assert!(apart < 1e-13 * scale / (H * r), "{name}: G'({q} h) off by {apart:e}");
             }
-            // Differences, too, so that no error of dual numbers can hide one of the formula.
+            // Differences as well, so that an error of dual numbers cannot hide one of the formula.
             let step = 3e-6 * H;
             if q > 1e-4 && (q - 1.0).abs() > 1e-4 && (q - 2.0).abs() > 1e-4 {
                 let difference = (w.value(r + step) - w.value(r - step)) / (2.0 * step);
@@ -153,7 +153,7 @@ fn a_kernel_is_finite_where_two_particles_meet<const D: usize>() {
             assert!(all.iter().all(|x| x.is_finite()), "{name} at {r:e}: {all:?}");
         }
         assert!(w.gradient(0.0) < 0.0, "{name}");
-        // What the sensitivities use of it, rᵢⱼ (H rᵢⱼ·δrᵢⱼ), vanishes at the centre.
+        // The sensitivities use rᵢⱼ (H rᵢⱼ·δrᵢⱼ), which vanishes at the centre.
         assert_eq!((w.curvature(0.0) * 0.0 * 0.0).abs().to_bits(), 0, "{name}");
     }
     every_kernel!(check, D);

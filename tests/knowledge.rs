@@ -1,4 +1,4 @@
-//! What a search knows at its end is what can be known: errors, effects, why it stopped.
+//! What is known at the end of a search: errors, effects, and why it stopped.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -40,7 +40,7 @@ fn learn(more: &[&str]) -> Outcome {
     search(&scene, &truth(&scene))
 }
 
-/// A kernel that hardly reaches the next particle, in a fluid that holds at its densities.
+/// A kernel that hardly reaches the next particle, in a fluid that is stable at its densities.
 const LONELY: [&str; 5] = [
     "fluid.smoothing_length=0.3",
     "fluid.gamma=1.0",
@@ -66,7 +66,7 @@ fn exact_data_identify_every_parameter_at_round_off() {
 
 #[test]
 fn a_parameter_without_effect_is_not_identified() {
-    // Nothing is within reach of anything.
+    // No particle is in reach of another.
     let outcome = learn(&[&LONELY[..], &["learn.after=0", "learn.frames=1"]].concat());
     for name in ["c", "alpha", "beta", "gamma"] {
         assert!(!outcome.knowledge.identified[name]);
@@ -101,7 +101,7 @@ fn a_parameter_outside_what_a_scene_accepts_is_called_so() {
 
 #[test]
 fn parameters_that_the_data_tell_apart_badly_are_said_to_be_correlated() {
-    // Of few meetings of two particles stiffness and speed of sound act through their product.
+    // With few close pairs, stiffness and sound speed act only through their product.
     let outcome = learn(&[&LONELY[..], &["learn.windows=[]"]].concat());
     let correlated = &outcome.knowledge.correlated;
     assert!(correlated.iter().any(|(a, b, r)| a == "c" && b == "gamma" && r.abs() > 0.95));

@@ -1,4 +1,4 @@
-//! Every model of the hierarchy learns: by every way of finding a gradient, to the same end.
+//! Every model of the hierarchy learns, with every mode of differentiation, to the same result.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -89,7 +89,7 @@ fn a_search_by_adjoint_ends_where_a_search_by_forward_gradients_does() {
 
 #[test]
 fn a_step_that_diverges_is_taken_back_and_the_search_goes_on() {
-    // A rate at which the second step leaves every flow that could be run.
+    // A rate at which the flow diverges after the second step.
     let more =
         ["learn.iterations=12", "learn.optimiser={kind='adam',rate=300.0}", "limits.energy=4"];
     let scene = small("nn-sum-3d", &more);

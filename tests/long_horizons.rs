@@ -1,4 +1,4 @@
-//! Over long horizons a gradient stays exact and stops being of use; who asks is told when.
+//! Over long horizons a gradient stays exact but becomes useless, and the program warns of it.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -14,7 +14,7 @@ use whirls::sensitivity::{Gradient, USEFUL, sensitivity_growth};
 use whirls::truth::Truth;
 use whirls::{Error, Scene};
 
-/// A small stirred flow near its truth, developed before the first observed frame.
+/// A small forced flow near its truth, developed before the first observed frame.
 const SCENE: &str = r#"
 name = "long"
 dimension = 2
@@ -44,7 +44,7 @@ optimiser = { kind = "adam", rate = 0.01 }
 iterations = 2
 "#;
 
-/// Steps over which the small flow forgets where it came from.
+/// Number of steps over which the small flow forgets its initial state.
 const LONG: usize = 800;
 
 fn long(frames: usize) -> Scene {
@@ -68,7 +68,7 @@ fn sensitivities_grow_exponentially_in_developed_flow() {
         "|S| at quarters: {halves:?}; {:.4} a step, {:.2} per eddy time",
         growth.per_step, growth.per_eddy
     );
-    // Without chaos |S| would grow like a power of the time, and by less in each quarter.
+    // Without chaos |S| would grow as a power of the time, and more slowly in each quarter.
     assert!(growth.per_step > 4.0 / LONG as f64 && growth.per_eddy > 0.0);
     assert!(halves[4] / halves[2] > 10.0 && halves[3] / halves[1] > 10.0);
     assert!((growth.rate * 0.4 * 0.64 / 10.0 / growth.per_step - 1.0).abs() < 1e-12);
@@ -85,7 +85,7 @@ fn an_adjoint_has_no_sensitivities_to_follow() {
     );
 }
 
-/// `train --check-gradient` over so many frames: its report, and what it said on standard error.
+/// `train --check-gradient` over `frames` frames: its report, and its text on standard error.
 fn check(frames: usize) -> (Value, String) {
     let place = Place::new();
     std::fs::write(place.path("long.toml"), SCENE).unwrap();

@@ -1,4 +1,4 @@
-//! The cell list against comparing all with all, at random and where it is hardest.
+//! The cell list against brute force, for random and for difficult inputs.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -29,13 +29,13 @@ in_2d_and_3d!(
     lists_of_more_particles_than_two_bytes_count_lose_nobody,
 );
 
-/// A scene of any particles: only box, smoothing length and skin matter here.
+/// A scene for any particles: only box, smoothing length and skin matter here.
 fn scene<const D: usize>(length: f64, support: f64, skin: f64) -> Scene {
     let mut scene = common::scene::<D>(4);
     scene.fluid.box_length = length;
     scene.fluid.smoothing_length = 0.5 * support;
     scene.time.skin = skin;
-    // Particles anywhere may be very dense; whether they could take a step is not asked.
+    // Random particles may be very dense; no step is taken.
     scene.limits.courant = f64::MAX;
     scene
 }
@@ -56,7 +56,7 @@ fn listed<const D: usize>(flow: &Flow<D>) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// That the lists hold exactly the pairs in reach; and nobody within the support is missing.
+/// Asserts that the lists hold exactly the pairs in reach, and all pairs within the support.
 fn agrees<const D: usize>(scene: &Scene, state: &State<D>) -> Result<(), String> {
     let flow = started(scene, state);
     let h = scene.fluid.smoothing_length;
@@ -121,7 +121,7 @@ fn a_lone_particle_has_no_neighbours_and_feels_nothing<const D: usize>() {
         let mut flow = started(&scene, &cloud::<D>(1, 2.0, 5));
         assert!(listed(&flow).is_empty());
         flow.step().unwrap();
-        // A mean over one particle leaves nothing to push.
+        // A mean over one particle leaves no force.
         assert!(flow.accelerations()[0].norm() < 1e-14);
     }
 }
@@ -144,7 +144,7 @@ fn coincident_particles_give_finite_numbers<const D: usize>() {
         state.positions[1] = state.positions[0];
         state.positions[3] = state.positions[2];
         state.velocities[3] = state.velocities[2];
-        // A distance whose square is no longer a number, and one that is barely one.
+        // At most one rounding error apart.
         state.positions[5] = state.positions[4];
         state.positions[5][0] += f64::EPSILON;
         let mut flow = started(&scene, &state);
@@ -171,13 +171,13 @@ fn particles_at_the_seam_and_the_float_next_to_it_are_found<const D: usize>() {
         agrees(&scene, &state).unwrap();
         let mut flow = started(&scene, &state);
         assert!(flow.accelerations().iter().all(|a| a.is_finite()));
-        // The seam is no place: nothing changes when all move by half a box.
+        // The boundary is not special: nothing changes when all particles move by half a box.
         let half = Vector([0.5 * length; D]);
         let moved: Vec<_> = state.positions.iter().map(|&r| space(&scene).wrap(r + half)).collect();
         let moved = State { positions: moved, ..state.clone() };
         let (here, there) = (flow.accelerations(), started(&scene, &moved).accelerations());
         let size = largest(here.iter().map(|a| a.norm()));
-        // Relative to the largest: coincident particles press each other very hard.
+        // Relative to the largest: the forces of coincident particles are very large.
         assert!(farthest(&here, &there) <= 1e-11 * size, "{:e}", farthest(&here, &there) / size);
     }
 }
@@ -195,7 +195,7 @@ fn lattices_whose_spacing_divides_the_reach_lose_nobody<const D: usize>() {
 }
 
 fn a_box_barely_larger_than_the_support_loses_nobody<const D: usize>() {
-    // Half the box is the largest support that a scene may ask for; a skin may reach beyond.
+    // Half the box is the largest support of a scene; a skin may reach beyond it.
     for (support, skin) in [(1.0, 0.0), (1.0 - 1e-12, 0.0), (1.0, 0.5), (1.0, 1.9)] {
         agrees(&scene::<D>(2.0, support, skin), &cloud::<D>(150, 2.0, 11)).unwrap();
     }
@@ -220,13 +220,13 @@ fn a_skin_changes_nothing_but_round_off<const D: usize>() {
     let rebuilds = |flow: &Flow<D>| flow.world().resource::<Neighbours<D>>().rebuilds;
     assert_eq!(rebuilds(&a), STEPS as u64 + 1, "without a skin every step rebuilds");
     assert!((2..STEPS as u64).contains(&rebuilds(&b)), "{} rebuilds", rebuilds(&b));
-    // Neighbours are summed in another order: accelerations feed that back over the steps.
+    // Neighbours are summed in another order, and accelerations feed that back over the steps.
     let bound = STEPS as f64 * common::acceleration_round_off(&bare);
     let apart = farthest(&a.accelerations(), &b.accelerations());
     assert!(apart <= bound, "{apart:e} > {bound:e}");
 }
 
-/// After every step, everyone within the support is in the lists, rebuilt or not.
+/// After every step all pairs within the support are in the lists, rebuilt or not.
 fn lists_are_rebuilt_before_a_skin_is_used_up<const D: usize>() {
     let (scene, state) = moving::<D>(0.3);
     let mut flow = started(&scene, &state);
@@ -243,9 +243,9 @@ fn lists_are_rebuilt_before_a_skin_is_used_up<const D: usize>() {
     assert!(flow.world().resource::<Neighbours<D>>().rebuilds < 20, "the skin was never used");
 }
 
-/// What counts is who leaves whom: with a wind in every direction, across the seams of the box, lists
-/// serve longer than it takes to be carried half a skin, nobody is missed, and forces are those of lists
-/// that are built at every step.
+/// The criterion is relative displacement. With a uniform velocity in every direction, across the
+/// boundaries of the box, lists are valid for longer than particles take to move half a skin, no
+/// pair is missed, and forces equal those of lists that are rebuilt in every step.
 fn lists_outlast_a_wind_that_carries_everyone<const D: usize>() {
     let (mut scene, mut state) = moving::<D>(0.3);
     let h = scene.fluid.smoothing_length;
@@ -267,17 +267,17 @@ fn lists_outlast_a_wind_that_carries_everyone<const D: usize>() {
     let bound = STEPS as f64 * common::acceleration_round_off(&scene);
     let apart = farthest(&flow.accelerations(), &fresh.accelerations());
     assert!(apart <= bound, "{apart:e} > {bound:e}");
-    // Carried 0.17 h or more a step, everyone uses up half a skin in one.
+    // Every particle moves by 0.17 h or more in a step, more than half a skin.
     let rebuilds = flow.world().resource::<Neighbours<D>>().rebuilds;
     assert!(rebuilds <= STEPS as u64 / 2, "{rebuilds} rebuilds");
 }
 
-/// Chunks inside keep two bytes for a neighbour and fill up with somebody far away, those at the seam keep
-/// whole slots: whom they hold, and what comes of it, is the same.
+/// Chunks in the interior have 16-bit entries and are padded with a distant particle, those at the
+/// boundary have 32-bit entries. Their neighbours, and all results, are the same.
 fn lists_of_more_particles_than_two_bytes_count_lose_nobody<const D: usize>() {
     const COUNT: usize = 70_000;
     let (length, skin) = (2.0, 0.2);
-    // Some twenty neighbours.
+    // About twenty neighbours.
     let support = if D == 2 { 0.0095 * length } else { 0.041 * length };
     let (scene, state) = (scene::<D>(length, support, skin), cloud::<D>(COUNT, length, 5));
     let (mut flow, space) = (started(&scene, &state), space(&scene));
@@ -296,12 +296,12 @@ fn lists_of_more_particles_than_two_bytes_count_lose_nobody<const D: usize>() {
             chunk.slots_of(k).filter(|&slot| slot < COUNT).map(row).filter(within).collect();
         listed.sort_unstable();
         assert_eq!(listed, (0..COUNT).filter(within).collect::<Vec<_>>(), "chunk {number}");
-        // Nobody else but who fills up, and he stays out of reach however long the list is used.
+        // The only other entries are padding, which stays out of reach while the list is used.
         let fillers = chunk.slots_of(k).filter(|&slot| slot < COUNT).map(row);
         let closest = fillers.map(apart).filter(|&r| r >= reach).fold(f64::MAX, f64::min);
         assert!(closest > 2.0 * reach, "chunk {number}: {closest} is filled up with");
     }
-    // What was at the seam is inside when all move by half a box.
+    // Particles at the boundary are in the interior after all move by half a box.
     let half = Vector([0.5 * length; D]);
     let moved: Vec<_> = state.positions.iter().map(|&r| space.wrap(r + half)).collect();
     let there = started(&scene, &State { positions: moved, ..state.clone() }).accelerations();

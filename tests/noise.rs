@@ -1,4 +1,5 @@
-//! Searches in data with measurement noise: all of them end with a result, and it says how well it is known.
+//! Searches in data with measurement noise: all end with a result, and with correct standard
+//! errors.
 //!
 //! `WHIRLS_NOISE_SEEDS=32 cargo test --release --test noise -- --nocapture` runs all 32 seeds and prints every one.
 
@@ -25,13 +26,13 @@ fn scene(more: &[&str]) -> Scene {
     Scene::open("inverse-3d", &overrides.collect::<Vec<_>>()).unwrap()
 }
 
-/// The number of seeds, `few` where the environment does not say more.
+/// Number of seeds, `few` unless the environment sets more.
 fn seeds(few: u64) -> std::ops::RangeInclusive<u64> {
     let asked = std::env::var("WHIRLS_NOISE_SEEDS").ok().and_then(|count| count.parse().ok());
     1..=asked.unwrap_or(few)
 }
 
-/// A truth as it is measured: with normal noise on every frame from `first` on.
+/// A measured truth: with normal noise on every frame from `first` on.
 fn measured(
     (scene, truth): (&Scene, &Truth<3>),
     (positions, velocities): (f64, f64),
@@ -69,7 +70,8 @@ fn search(scene: &Scene, truth: &Truth<3>, seed: u64) -> Outcome {
     learner.run(guess, &mut |_| Ok(())).unwrap()
 }
 
-/// How many standard errors each parameter is off; infinite for one that is not identified.
+/// The deviation of each parameter in standard errors; infinite for a parameter that is not
+/// identified.
 fn deviations(scene: &Scene, outcome: &Outcome) -> Vec<f64> {
     let parameters = &scene.learn.as_ref().unwrap().parameters;
     let off = parameters.iter().zip(&outcome.evaluation.parameters);
@@ -135,8 +137,8 @@ fn true_values_are_within_two_standard_errors_where_the_first_frame_is_exact() {
     }
 }
 
-/// What noise of the first frame, which a prediction takes as exact, does to the parameters: a bias that the standard
-/// errors do not know.
+/// The effect of noise in the first frame, which a prediction takes as exact: a bias of the
+/// parameters that is not in the standard errors.
 #[test]
 fn noise_of_the_first_frame_biases_the_parameters_and_the_result_says_so() {
     let scene = scene(&["learn.loss={trajectory=1.0,field=0.0}"]);

@@ -1,4 +1,4 @@
-//! The order of systems: written once, complete, and without a system that does nothing.
+//! The order of systems: complete, and without a system that does nothing.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -16,7 +16,7 @@ use whirls::systems::verlet::{Clock, Step};
 use whirls::truth::Truth;
 use whirls::{Flow, Scene};
 
-/// A shipped scene in few particles: the order of systems does not depend on how many there are.
+/// A shipped scene with few particles: the order of systems does not depend on their number.
 fn small<const D: usize>(name: &str) -> Scene {
     let mut scene = Scene::shipped(name).unwrap();
     scene.dimension = D;
@@ -169,7 +169,7 @@ fn nothing_is_scheduled_that_a_scene_does_not_need() {
     }
 }
 
-/// What the shipped scenes run when they simulate and when they learn: the paper's step, forced.
+/// The systems of shipped scenes when they simulate and when they learn: the paper's step, forced.
 const SIMULATE: &[&str] = &[
     "packing::pack_velocities",
     "acceleration::accelerate",

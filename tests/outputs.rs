@@ -1,4 +1,4 @@
-//! What commands do to files, and what they leave when they are stopped.
+//! The effects of commands on files, and the files that stopped commands leave.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use whirls::output::{Output, leftovers, readable};
 use whirls::recording::{Flow, Recording};
 
-/// A search that takes long.
+/// A long search.
 const LONG: [&str; 8] = [
     "small.toml",
     "--threads=1",
@@ -31,7 +31,7 @@ fn with<'a>(some: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
     [some, more].concat()
 }
 
-/// Starts a command and waits until something can be read under a name.
+/// Starts a command, and waits until a file of a given name can be read.
 fn running(place: &Place, command: &str, arguments: &[&str], name: &str) -> Child {
     let mut command = place.command(command, arguments);
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -49,7 +49,7 @@ fn running(place: &Place, command: &str, arguments: &[&str], name: &str) -> Chil
     child
 }
 
-/// Waits until a process looks after its signals, as Linux tells.
+/// Waits until a process handles its signals, according to Linux.
 fn listening(id: u32) {
     let caught = || -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
@@ -128,7 +128,7 @@ fn no_command_writes_over_what_it_reads() {
     place.refuses("trade", &["trade/prices.json", "--out", "trade"], &["prices.json", same]);
     let recover = ["--recover", "flow.mcap", "--out", "hard.mcap"];
     place.refuses("replay", &recover, &["hard.mcap", same]);
-    // What is resumed is replaced only where that was asked for.
+    // A resumed recording is replaced only on request.
     let resume = with(&SHORT, &["--resume", "learned.mcap", "--record", "learned.mcap"]);
     place.refuses("train", &resume, &["the recording that is resumed", "--overwrite"]);
     assert!(
@@ -180,7 +180,7 @@ fn a_recording_has_its_name_only_when_it_is_complete() {
     assert!(bytes(&place, "long.mcap") == before, "and after a kill");
     let cut = place.recording("long.unfinished.mcap").train_steps().unwrap();
     assert!(!cut.is_empty());
-    // The next run keeps what is left, and says so.
+    // The next run keeps the unfinished file, and reports it.
     let done = place.run("train", &with(&SHORT, &["--record", "long.mcap"]));
     let told = ["warning: long.unfinished.mcap", "train --resume", "replay --recover"];
     assert!(
@@ -278,7 +278,8 @@ fn a_signal_ends_a_simulation_in_order_and_it_can_be_gone_on_with() {
     place.json("simulate", &on);
 }
 
-/// Truths, searches among prices, evaluations and stages: nothing half done is written as if it were whole.
+/// Truths, searches in price lists, evaluations and stages: no incomplete result is written as
+/// complete.
 #[test]
 fn a_signal_ends_every_other_command_without_half_a_result() {
     let place = Place::new();
@@ -401,7 +402,7 @@ fn a_run_too_large_for_the_memory_is_refused_with_the_estimate() {
             assert!(done.err.contains(part), "no `{part}` in: {}", done.err);
         }
     }
-    // What fits still runs.
+    // Smaller runs still work.
     let done = limited(&place, 2_000_000, "train", &with(&SHORT, &["--threads=2"]));
     assert_eq!(done.code, Some(0), "{}", done.err);
 }

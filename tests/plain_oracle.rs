@@ -1,5 +1,5 @@
-//! The engine against the formulas written down once more, plainly: one number type, all pairs with
-//! all pairs, nothing shared with the engine but the box's side and the random modes.
+//! The engine against an independent implementation of the formulas: one number type, all pairs,
+//! nothing shared with the engine except the box's side and the random modes.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -105,7 +105,7 @@ impl Plain {
         (0..r.len()).map(sum).collect()
     }
 
-    /// Accelerations, and per particle the sum of the sizes of all that acts on it.
+    /// Accelerations, and for each particle the sum of the magnitudes of all contributions.
     fn accelerations(&self, (r, v): (&Rows, &Rows), time: f64) -> (Rows, Vec<f64>) {
         let rho = self.densities(r);
         let pressure = |rho: f64| self.c * self.c / self.gamma * (rho.powf(self.gamma) - 1.0);
@@ -219,14 +219,14 @@ fn densities_and_forces_are_those_of_the_formulas<const D: usize>() {
         for (name, forcing) in FORCINGS {
             let mut scene = common::scene::<D>(if D == 2 { 12 } else { 6 });
             (scene.fluid.kernel, scene.forcing) = (kernel, forcing);
-            // A cloud is very dense in places; no step is taken from it.
+            // A random cloud is very dense in places; no step is taken.
             scene.limits.courant = f64::MAX;
             for state in clouds::<D>(&scene) {
                 let plain = Plain::new(&scene, state.positions.len());
                 let mut flow = started(&scene, &state);
                 let (r, v) = (rows(&state.positions), rows(&state.velocities));
                 for (found, expected) in flow.densities().iter().zip(plain.densities(&r)) {
-                    // A sum of tens of kernels, whose arguments are rounded.
+                    // A sum of tens of kernels with rounded arguments.
                     assert!((found - expected).abs() < 1e-13 * expected, "{found} {expected}");
                 }
                 let (expected, sizes) = plain.accelerations((&r, &v), 0.0);
@@ -244,14 +244,14 @@ fn densities_and_forces_are_those_of_the_formulas<const D: usize>() {
     }
 }
 
-/// `steps` steps from the definitions: the order of kicks, drifts and evaluations.
+/// `steps` steps by definition: the order of kicks, drifts and evaluations.
 fn march(
     plain: &Plain,
     step: Step,
     (mut r, mut v): (Rows, Rows),
     (steps, dt): (usize, f64),
 ) -> (Rows, Rows) {
-    // The engine draws the random modes for the interval in which the middle of a step lies.
+    // The engine draws the random modes for the interval that contains the middle of a step.
     let drawn = |k: usize| (k as f64 + 0.5) * dt;
     let mut carried = plain.accelerations((&r, &v), drawn(0)).0;
     for k in 0..steps {

@@ -1,5 +1,5 @@
-//! The numbers in which pairs are evaluated: every instruction set gives the same bits, and mixed
-//! precision is as good as single precision can be, and conserves momentum like double precision.
+//! Precision of pair evaluations: every instruction set gives the same bits, and mixed precision is
+//! as accurate as single precision can be, and conserves momentum as double precision does.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -32,7 +32,7 @@ in_2d_and_3d!(
     mixed_gradients_agree_with_each_other_and_with_double_precision,
 );
 
-/// Everything that a pair loop asks of its numbers, as one list of bits.
+/// All operations of pair loops, as one list of bits.
 #[derive(Clone)]
 struct Everything<'a, const D: usize> {
     lines: Lines<'a>,
@@ -100,7 +100,7 @@ fn every_instruction_set_gives_the_bits_of_the_plain_one<const D: usize>() {
             stress: number(-3.0, 3.0),
         })
         .collect();
-    // Close pairs, one place, and the seam.
+    // Close pairs, coincident particles, and the periodic boundary.
     double[1] = Packed { position: double[0].position, ..double[1] };
     double[2].position = double[0].position.map(|x| (x + 0.1) % length);
     double[3].position = [length * (1.0 - 1e-16), 0.0, 0.0];
@@ -150,7 +150,8 @@ fn mixed_accelerations_are_those_of_single_precision<const D: usize>() {
     println!(
         "{D}D: accelerations differ by {error:.1e} of the largest, densities by {density:.1e}"
     );
-    // A dozen roundings of 6e-8 in each of some twenty terms; and not by chance the doubles.
+    // About a dozen rounding errors of 6e-8 in each of some twenty terms; and not equal to double
+    // precision.
     assert!((1e-9..3e-6).contains(&error) && (1e-9..1e-6).contains(&density), "{error} {density}");
 }
 

@@ -1,7 +1,8 @@
-//! The engine against a flow that others computed and published: imported, stepped, learned from.
+//! The engine against a flow that was computed and published by other authors: imported, stepped,
+//! learned from.
 //!
-//! The arrays are not part of this project. Where their folder is missing the tests are skipped, and
-//! say so.
+//! The arrays are not part of this project. If their folder is missing, the tests are skipped, and
+//! report it.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -21,7 +22,7 @@ use whirls::truth::Truth;
 
 const FRAMES: usize = 15;
 
-/// The scene whose law and step made the published flow.
+/// The scene with the law and the step of the published flow.
 fn scene() -> Scene {
     let mut scene = Scene::shipped("inverse-2d").unwrap();
     let learn = scene.learn.as_mut().unwrap();
@@ -30,7 +31,7 @@ fn scene() -> Scene {
     scene
 }
 
-/// The published frames, by way of the `import` command; `None` where they are missing.
+/// The published frames, through the `import` command; `None` if they are missing.
 fn published() -> Option<Truth<2>> {
     let folder = Path::new("../shared/data/woodward-2d");
     if !folder.is_dir() {
@@ -57,7 +58,7 @@ fn published() -> Option<Truth<2>> {
     Some(truth_from_recording::<2>(&recording, &scene(), (0, FRAMES)).unwrap())
 }
 
-/// How far positions, velocities and densities of a flow are from a published frame.
+/// Distances of positions, velocities and densities of a flow from a published frame.
 fn distance(truth: &Truth<2>, k: usize, state: &State<2>, densities: &[f64]) -> [f64; 3] {
     let (there, known) = (&truth.states[k], &truth.densities[k]);
     [
@@ -109,7 +110,7 @@ fn the_first_published_frame_leads_to_all_fifteen_that_follow() {
             "frame {k}: position {:.1e}, velocity {:.1e}, density {:.1e}",
             apart[0], apart[1], apart[2]
         );
-        // Round-off grows with the flow; two decades of room over one step's 1e-13.
+        // Round-off grows with the flow; the bound is two decades above one step's 1e-13.
         assert!(apart.iter().all(|x| *x < 1e-11), "frame {k}: {apart:?}");
     }
 }

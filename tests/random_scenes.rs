@@ -1,5 +1,5 @@
-//! Any scene inside the stated bounds runs, or is refused with a reason; none panics, none hands out a
-//! number that means nothing.
+//! Any scene within the stated limits runs, or is refused with a reason; none panics, and none
+//! returns a meaningless number.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -12,7 +12,7 @@ use whirls::scene::{Forcing, KernelName};
 use whirls::systems::verlet::Step;
 use whirls::{Error, Flow, Scene};
 
-/// Numbers over many magnitudes, zero among them.
+/// Numbers over many magnitudes, including zero.
 fn magnitude(low: i32, high: i32) -> impl Strategy<Value = f64> {
     prop_oneof![
         1 => Just(0.0),
@@ -32,7 +32,7 @@ fn forcing() -> impl Strategy<Value = Forcing> {
     ]
 }
 
-/// Scenes of few particles: the physics anywhere, some of it beyond what the time step can follow.
+/// Scenes of few particles, with physical parameters also beyond what the time step can resolve.
 fn scene(dimension: usize) -> impl Strategy<Value = Scene> {
     let fluid = (1_usize..7, 0.05..0.26, magnitude(-2, 3), magnitude(-3, 3), 0.5..30.0);
     let flow = (magnitude(-3, 2), magnitude(-4, 1), forcing(), 0..4_usize, 0..3_usize);
@@ -84,8 +84,8 @@ fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<(), TestCaseError> 
         prop_assert!(velocities.iter().all(|v| v.is_finite()));
         prop_assert!(flow.densities().iter().all(|&rho| rho.is_finite() && rho > 0.0));
         let (rates, fluid) = (flow.momentum_rates(), &scene.fluid);
-        // On a lattice at rest pairs pull with all their might, and what is left of a particle's force is
-        // round-off itself.
+        // On a lattice at rest the pair forces are large but cancel, so that a particle's total
+        // force is only round-off.
         let mass = fluid.box_length.powi(scene.dimension as i32);
         let round_off = f64::EPSILON * mass * fluid.c * fluid.c / fluid.smoothing_length;
         prop_assert!(rates.pressure.norm() <= 1e-11 * rates.scale + round_off, "{:?}", rates);
@@ -116,7 +116,7 @@ proptest! {
     }
 }
 
-/// The kernels by name, as scenes spell them.
+/// The names of kernels in scenes.
 #[test]
 fn names_of_kernels_and_steps_are_those_of_scenes() {
     for kernel in common::KERNELS {

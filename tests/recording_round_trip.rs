@@ -1,4 +1,4 @@
-//! What a recording promises: nothing is lost, nothing is changed, nothing is guessed.
+//! Recordings: nothing is lost, changed or guessed.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
 
@@ -11,7 +11,7 @@ use whirls::recording::{
 };
 use whirls::{Error, Result};
 
-/// Values that a careless writer changes.
+/// Values that a careless writer would change.
 const AWKWARD: [f64; 9] = [
     -0.0,
     0.0,
@@ -35,7 +35,7 @@ fn run(dimension: usize) -> RunInfo {
     }
 }
 
-/// Frame `k` of `count` particles whose numbers never repeat.
+/// Frame `k` of `count` particles, with numbers that never repeat.
 fn frame(k: u64, count: usize) -> Frame {
     let number = |i: usize| ((i as f64 + 1.3) * (k as f64 + 0.7)).sin() * 3.0;
     let row = |i: usize| [number(i), number(7 * i + 1), number(11 * i + 2)];
@@ -161,7 +161,8 @@ fn every_value_read_back_is_the_value_written() {
         let read = recording.frame(Flow::Truth, k).unwrap();
         assert_eq!(frame_bits(&read), frame_bits(written));
     }
-    // Debug text of an f64 tells every value but a NaN's payload, which the lists' bits tell.
+    // Debug text distinguishes all `f64` values except a NaN's payload, which the bits of the lists
+    // show.
     let text = |values: &dyn std::fmt::Debug| format!("{values:?}");
     let steps = recording.train_steps().unwrap();
     assert_eq!(text(&steps), text(&AWKWARD.map(all)));

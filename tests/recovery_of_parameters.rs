@@ -1,4 +1,4 @@
-//! The shipped scenes learn back the parameters that made their flow, from guesses in (0, 1).
+//! The shipped scenes learn the parameters of their own flow from guesses in (0, 1).
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -20,7 +20,7 @@ fn search<const D: usize>(scene: &Scene, learner: &mut Learner<D>, seed: u64) ->
     (outcome, worst)
 }
 
-/// How many of the seeds come home: loss and parameters at round-off.
+/// Number of seeds that converge: loss and parameters at round-off.
 fn home<const D: usize>(name: &str, seeds: std::ops::Range<u64>) -> usize {
     let scene = Scene::shipped(name).unwrap();
     let learn = scene.learn.clone().unwrap();

@@ -1,5 +1,5 @@
-//! Only what a scene requires: which systems run for it, in order, and what it holds per particle, column by
-//! column; and what is turned off takes its systems and its memory with it.
+//! Only what a scene requires: its systems in order, and its memory per particle, column by column.
+//! What is turned off removes its systems and its memory.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -38,7 +38,7 @@ enum Way {
     Adjoint,
 }
 
-/// A gradient of the scene at its first guess, explained as `train --explain` does it.
+/// A gradient of the scene at its first guess, explained as by `train --explain`.
 fn training<const D: usize>(scene: &Scene) -> Vec<Requirements> {
     let lesson = Lesson::<D>::new(scene, None).unwrap();
     let mut learner = Learner::of_truth(scene, &lesson.truth).unwrap();
@@ -46,19 +46,19 @@ fn training<const D: usize>(scene: &Scene) -> Vec<Requirements> {
     Requirements::of_training((scene, &lesson), (&mut learner, &guess)).unwrap()
 }
 
-/// Its flow alone, explained as `simulate --explain` does it.
+/// Only its flow, explained as by `simulate --explain`.
 fn simulation<const D: usize>(scene: &Scene) -> Requirements {
     let mut flow = Flow::<D>::new(scene).unwrap();
     flow.start().unwrap();
     Requirements::of_flow(scene, &mut flow, true)
 }
 
-/// A system's tangent, where sensitivities are carried.
+/// The tangent of a system, if sensitivities are carried.
 fn tangent(way: Way, name: &'static str) -> Vec<&'static str> {
     if way == Way::Forward { vec![name] } else { Vec::new() }
 }
 
-/// Systems that pack what a force evaluation, or the loss, sees.
+/// Systems that pack the inputs of a force evaluation or of the loss.
 fn packed(way: Way) -> Vec<&'static str> {
     [vec!["packing::pack_velocities"], tangent(way, "packing::pack_sensitivities")].concat()
 }
@@ -93,7 +93,7 @@ fn forces_of(scene: &Scene, way: Way) -> Vec<&'static str> {
     all
 }
 
-/// Systems of one step, written down once for all kinds of scenes.
+/// Systems of one step, written once for all kinds of scenes.
 fn step_of(scene: &Scene, way: Way) -> Vec<&'static str> {
     let mut all = Vec::new();
     if scene.time.step.refreshes() {
@@ -117,7 +117,7 @@ fn step_of(scene: &Scene, way: Way) -> Vec<&'static str> {
     all
 }
 
-/// Systems of the way back through one step: the pullback of every system, in reverse.
+/// Systems of the adjoint of one step: the pullback of every system, in reverse.
 fn way_back_of(scene: &Scene) -> Vec<&'static str> {
     let evaluation = |density: &'static str| {
         let forcing = match scene.forcing {
@@ -147,18 +147,20 @@ fn way_back_of(scene: &Scene) -> Vec<&'static str> {
 type Expected = (&'static str, String, [f64; 2]);
 
 fn exactly(part: &'static str, name: &str, bytes: f64) -> Expected {
-    // Vectors have one entry more for nobody, or eight.
+    // Vectors have one more entry for the sentinel, or eight.
     (part, name.to_owned(), [bytes * (1.0 - 1e-12), bytes * 1.02])
 }
 
-/// What the ECS keeps for each entity: its number twice, its places, its generation and its tick.
+/// Size of the ECS's own record of an entity, in bytes: its number twice, its places, its
+/// generation and its tick.
 const ENTITY: f64 = 8.0 + 12.0 + 28.0;
 
-/// What it keeps for each component: two ticks.
+/// Size of the ECS's own record of a component, in bytes: two ticks.
 const TICKS: f64 = 8.0;
 
-/// `(the lists, at least and at most; the number of eights in them, at most)` per particle: a list holds who
-/// is within `2h` and the skin, in eights, in so many bytes each; lists that grew keep a sixteenth in reserve.
+/// `(the lists, at least and at most; the number of eights in them, at most)` per particle. A list
+/// holds the neighbours within `2h` and the skin, in eights of `bytes` bytes per entry; lists that
+/// grew reserve a sixteenth more.
 fn lists_of(scene: &Scene, bytes: f64) -> ([f64; 2], f64) {
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let volume =
@@ -168,7 +170,7 @@ fn lists_of(scene: &Scene, bytes: f64) -> ([f64; 2], f64) {
     ([bytes * near, 1.07 * (bytes * (near + 8.0) + 5.5)], (near + 8.0) / 8.0)
 }
 
-/// Those of a flow of fewer than 65536 particles: two bytes for each neighbour.
+/// The lists of a flow of fewer than 65536 particles: two bytes per neighbour.
 fn lists(scene: &Scene) -> [f64; 2] {
     assert!(scene.particles() < 1 << 16, "{}", scene.name);
     lists_of(scene, 2.0).0
@@ -185,22 +187,22 @@ fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let arrays =
         [("packed", 64.0), ("acceleration", vector), ("density", 8.0), ("slot_of_row", 4.0)];
     all.extend(arrays.map(|(name, bytes)| exactly("cloud", name, bytes)));
-    // A bit for each listed pair.
+    // One bit per listed pair.
     all.push(("cloud", "masks".to_owned(), lists_of(scene, 0.125).0));
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let cells = (scene.fluid.box_length / reach).floor().powi(scene.dimension as i32);
     let share = 4.0 * (cells + 1.0) / scene.particles() as f64;
     all.push(("neighbour lists", "lists".to_owned(), lists(scene)));
     all.push(("neighbour lists", "cells".to_owned(), [4.0 + share, 4.0 + 2.5 * share]));
-    // Of how far particles have moved, eight singles for each cell.
+    // Bounds of displacements: eight `f32` per cell.
     let bounds = 32.0 * cells / scene.particles() as f64;
     all.push(("neighbour lists", "bounds".to_owned(), [bounds, bounds]));
-    // By cell in fixed point, half as large as doubles.
+    // By cell in fixed point: half the size of `f64`.
     all.push(("neighbour lists", "positions".to_owned(), [0.5 * vector, 0.52 * vector]));
     all
 }
 
-/// Columns of sensitivities to so many parameters.
+/// Columns of sensitivities to `parameters` parameters.
 fn columns_of_sensitivities(dimension: usize, parameters: usize) -> Vec<Expected> {
     let blocks = parameters.div_ceil(8) as f64;
     let (lanes, vector) = (64.0, 64.0 * dimension as f64);
@@ -216,7 +218,7 @@ fn columns_of_sensitivities(dimension: usize, parameters: usize) -> Vec<Expected
     all
 }
 
-/// The pairs of 1024 particles, linearised: those within `2h`, with room for as many again.
+/// The linearised pairs of 1024 particles: those within `2h`, with room for the same number again.
 fn pairs_held(scene: &Scene) -> [Expected; 2] {
     let (dimension, reach) = (scene.dimension as f64, 2.0 * scene.fluid.smoothing_length);
     let volume =
@@ -233,7 +235,7 @@ fn pairs_held(scene: &Scene) -> [Expected; 2] {
     [held("pulls", pull + 4.0, [4.0 + pull; 2]), held("slopes", 2.0 * row * dimension + 4.0, slope)]
 }
 
-/// Columns of an adjoint, of a model that leaves shares with its neighbours or of one that does not.
+/// Columns of an adjoint, of a model that writes shares for its neighbours or of one that does not.
 fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     let vector = 8.0 * scene.dimension as f64;
     let column = |name, bytes: f64| exactly("adjoint", name, bytes);
@@ -251,7 +253,7 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     // All parameters of the model, a chunk of particles.
     let sums = [5.0, 2000.0].map(|parameters| 8.0 * parameters / CHUNK as f64);
     all.push(("adjoint", "sums".to_owned(), sums));
-    // Whole slots of those who are near, with room for all who are listed.
+    // Slots of the neighbours within the support, with room for all listed neighbours.
     let [least, most] = lists_of(scene, 4.0).0;
     all.push(("adjoint", "lists of who is near".to_owned(), [least, most + 1.0]));
     if shares {
@@ -261,7 +263,7 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
         let ([least, _], most) = lists_of(&within, 4.0);
         let bytes = [each * least / 32.0, 2.0 * each * most];
         all.push(("adjoint", "shares".to_owned(), bytes));
-        // Two numbers for each pair, and where each particle's begin.
+        // Two numbers per pair, and the start of each particle's pairs.
         all.push((
             "adjoint",
             "senders".to_owned(),
@@ -271,7 +273,7 @@ fn columns_of_an_adjoint(scene: &Scene, shares: bool) -> Vec<Expected> {
     all
 }
 
-/// Columns of what a flow is compared with.
+/// Columns of observations.
 fn columns_of_observations(scene: &Scene) -> Vec<Expected> {
     let (learn, vector) = (scene.learn.as_ref().unwrap(), 8.0 * scene.dimension as f64);
     let frames = learn.frames as f64;
@@ -279,13 +281,13 @@ fn columns_of_observations(scene: &Scene) -> Vec<Expected> {
     vec![
         column("positions of each frame", frames * vector),
         column("velocities of each frame", frames * vector),
-        // As many nodes as particles.
+        // The number of nodes is the number of particles.
         column("field of each frame", frames * vector),
         column("velocities at the start", vector),
     ]
 }
 
-/// What is found is what is expected: the same columns, each within its bytes.
+/// Asserts that the columns are those expected, each within its bytes.
 #[track_caller]
 fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
     let name = |part: &str, name: &str| format!("{part}: {name}");
@@ -301,7 +303,7 @@ fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
     }
 }
 
-/// The search or the warm-up of a shipped scene requires what its scene says, and no more.
+/// The search or the warm-up of a shipped scene requires what its scene needs, and nothing else.
 fn assert_training(name: &str, scene: &Scene, found: &Requirements) {
     let learn = scene.learn.as_ref().unwrap();
     let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
@@ -325,7 +327,7 @@ fn assert_training(name: &str, scene: &Scene, found: &Requirements) {
     assert_columns(&about, &found.each_step, &each_step);
 }
 
-/// Columns of a flow with its gradient, and what each step adds to a tape.
+/// Columns of a flow with its gradient, and the memory that each step adds to a tape.
 fn columns_of_a_gradient(
     scene: &Scene,
     way: Way,
@@ -348,7 +350,7 @@ fn columns_of_a_gradient(
     held.extend(columns_of_an_adjoint(scene, in_the_force));
     let all = learn.frames as f64 * found.part("tape, a step").unwrap();
     held.push(exactly("tape", &format!("{} steps", learn.frames), all));
-    // The paper's step evaluates twice.
+    // The paper's step evaluates forces twice.
     let [least, most] = lists(scene);
     let lists = "lists of each evaluation".to_owned();
     let masks = lists_of(scene, 0.125).0;
@@ -412,7 +414,7 @@ fn a_third_dimension_takes_a_third_coordinate_in_every_vector() {
         assert_eq!((flat.part, &flat.name), (deep.part, &deep.name));
         let coordinates = match flat.name.as_str() {
             "Position" | "Velocity" | "Acceleration" | "acceleration" => 1.0,
-            // How many neighbours there are, and cells; what vectors keep in reserve.
+            // Number of neighbours and of cells; reserves of vectors.
             "lists" | "masks" | "cells" | "bounds" | "positions" => continue,
             _ => 0.0,
         };
@@ -446,7 +448,7 @@ fn learning<const D: usize>(change: impl FnOnce(&mut whirls::scene::Learn)) -> S
 
 type Parts = Vec<(&'static str, f64)>;
 
-/// What the flow of a scene holds per particle, with sensitivities to so many parameters.
+/// Memory of a scene's flow per particle, with sensitivities to `parameters` parameters.
 fn parts<const D: usize>(forcing: Forcing, parameters: usize) -> Parts {
     let mut scene = common::scene::<D>(if D == 2 { 24 } else { 10 });
     scene.forcing = forcing;
@@ -503,7 +505,7 @@ fn stirring_adds_no_memory_and_one_system_to_an_evaluation<const D: usize>() {
         let found = parts::<D>(forcing.clone(), 0);
         for (part, bytes) in &found {
             let without = plain.iter().find(|(other, _)| other == part).unwrap().1;
-            // Lists differ by who is near after one step.
+            // Lists of neighbours within the support change after one step.
             assert!((bytes - without).abs() < 0.02 * without, "{name}: {part} {bytes}, {without}");
         }
         for gradient in [Gradient::Forward, Gradient::Adjoint] {
@@ -562,7 +564,8 @@ fn an_adjoint_holds_nothing_of_a_forward_gradient_and_the_other_way_round<const 
     assert!(forward.part("sensitivities").is_some());
     assert_eq!(adjoint.part("sensitivities"), None);
     assert!(forward.systems("the way back through one step").is_empty());
-    // Three steps of tape against one, and two snapshots of three vectors and the lists' positions.
+    // Three steps of tape against one step, and two snapshots of three vectors and the lists'
+    // positions.
     let step = adjoint.part("tape, a step").unwrap();
     assert!((adjoint.part("tape").unwrap() - 3.0 * step).abs() < 1e-9 * step);
     let few = found(Gradient::Adjoint, Storage::Checkpoints(2));

@@ -1,5 +1,5 @@
-//! Scenes: every mistake is refused with place, expectation, finding and remedy; every scene survives
-//! being written out.
+//! Scenes: every mistake is refused with place, expectation, finding and remedy; every scene can be
+//! written and read back.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -37,7 +37,7 @@ parameters = ["c", "alpha"]
 frames = 10
 "#;
 
-/// The error that a scene is refused with, which must be one of bad input.
+/// The error of a refused scene, which must be one of bad input.
 fn refusal(text: &str, overrides: &[&str]) -> String {
     let overrides: Vec<String> = overrides.iter().map(|&o| o.to_owned()).collect();
     let error = Scene::parse(text, "small.toml", &overrides).unwrap_err();
@@ -480,7 +480,7 @@ fn a_velocity_field_that_no_flow_could_start_with_is_refused_with_its_key() {
     }
 }
 
-/// Every `kind` of every table, the ones without keys of their own included.
+/// Every `kind` of every table, including those without keys of their own.
 #[test]
 fn an_unknown_key_is_refused_beside_every_kind() {
     let whole = [

@@ -1,5 +1,5 @@
-//! The statistical loss in a flow: its gradient both ways and by differences, what counts when, and
-//! what is refused.
+//! The statistical loss in a flow: its gradient in both modes and by differences, which times
+//! count, and what is refused.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -18,7 +18,7 @@ const KL: Weights = Weights { trajectory: 0.0, field: 0.0, kl: 1.0 };
 const FIELD_AND_KL: Weights = Weights { trajectory: 0.0, field: 1.0, kl: 0.5 };
 const FRAMES: usize = 5;
 
-/// A small rough flow with every term of the force at work.
+/// A small rough flow with every term of the force.
 fn scene(dimension: usize, step: Step, loss: Weights, times: Times) -> Scene {
     let name = if dimension == 2 { "inverse-2d" } else { "inverse-3d" };
     let (side, h) = if dimension == 2 { (14, 0.457) } else { (8, 0.67) };
@@ -156,12 +156,12 @@ fn the_loss_at_the_parameters_of_the_truth_is_zero() {
             2 => learner::<2>(&scene, Gradient::Forward).evaluate(&at, FRAMES).unwrap().kl,
             _ => learner::<3>(&scene, Gradient::Forward).evaluate(&at, FRAMES).unwrap().kl,
         };
-        // A divergence of order one is summed up from 200 nodes.
+        // A divergence of order one is summed over 200 nodes.
         assert!(kl.abs() < 1e-14, "{name}: {kl:e}");
     }
 }
 
-/// The divergence of each frame of a flow with the guessed parameters, straight from its states.
+/// The divergence of each frame of a flow with the guessed parameters, directly from its states.
 fn frame_by_frame<const D: usize>(scene: &Scene, truth: &Truth<D>) -> Vec<f64> {
     let mut flow = Flow::<D>::from_state(scene, &truth.states[0]).unwrap();
     flow.set_learned(&scene.learning().unwrap().parameters, &guess(scene)).unwrap();

@@ -1,4 +1,4 @@
-//! A flow that has found its memory asks for no more.
+//! A flow in a steady state allocates no more memory.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -9,21 +9,21 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use whirls::systems::neighbours::Neighbours;
 use whirls::{Flow, Scene};
 
-/// The system's allocator, which also counts how often it is asked.
+/// The system's allocator, which also counts allocations.
 struct Counting;
 
 static ASKED: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: everything is passed on as it is.
+// SAFETY: every call is forwarded unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ASKED.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is the one asked for.
+        // SAFETY: the caller guarantees what is required here.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is the one asked for.
+        // SAFETY: the caller guarantees what is required here.
         unsafe { System.dealloc(block, layout) }
     }
 }
@@ -31,16 +31,17 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// How often memory was asked for in 40 steps of a developed flow, and how often lists were built.
+/// Number of allocations in 40 steps of a developed flow, and number of rebuilds of the lists.
 fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     let more: Vec<String> = more.iter().map(|&text| text.to_owned()).collect();
     let scene = Scene::open(name, &more).unwrap();
     let mut flow = Flow::<D>::new(&scene).unwrap();
     let rebuilds = |flow: &Flow<D>| flow.world().resource::<Neighbours<D>>().rebuilds;
     let mut found = (0, 0);
-    // A thread that is still coming up asks for its own memory, so all shall have worked once.
+    // A thread that is starting allocates memory of its own, so that all threads must have worked
+    // once.
     rayon::broadcast(|_| ());
-    // On a thread of the pool: whoever comes from outside hands his work over in a box.
+    // On a thread of the pool: a call from outside of the pool allocates a box for its closure.
     rayon::scope(|_| {
         (0..20).for_each(|_| flow.step().unwrap());
         let before = (ASKED.load(Ordering::Relaxed), rebuilds(&flow));
@@ -51,7 +52,7 @@ fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     found
 }
 
-/// One test, so that nobody else allocates meanwhile.
+/// One test, so that no other test allocates at the same time.
 #[test]
 fn a_flow_that_has_found_its_memory_allocates_nothing_in_a_step() {
     let mixed = "precision='mixed'";

@@ -1,4 +1,4 @@
-//! What may be done to a flow without changing it: boost, shift, turn, renumber.
+//! Transformations under which a flow is invariant: boost, translation, rotation, permutation.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -22,15 +22,16 @@ in_2d_and_3d!(
 
 const STEPS: usize = 5;
 
-/// A viscous flow, forced by a law that knows no direction and no mean velocity.
+/// A viscous flow, with a forcing that is independent of direction and mean velocity.
 fn scene<const D: usize>() -> Scene {
     let mut scene = common::scene::<D>(if D == 2 { 16 } else { 8 });
     scene.forcing = Forcing::Deterministic { theta: 0.5, power: Power::Exact };
     scene
 }
 
-/// Starts two flows, and compares them at once and after some steps; `expected` says where a vector
-/// of the first flow is in the second: from its row and (position, velocity or acceleration) itself.
+/// Starts two flows, and compares them at once and after some steps; `expected` transforms a vector
+/// of the first flow into that of the second, from its row and (position, velocity or acceleration)
+/// itself.
 fn compare<const D: usize>(
     (first, second): (&State<D>, &State<D>),
     expected: impl Fn(&[Vector<f64, D>], Kind) -> Vec<Vector<f64, D>>,
@@ -47,7 +48,7 @@ fn compare<const D: usize>(
     let time = STEPS as f64 * a.dt();
     let velocities = expected(&then.velocities, Kind::Velocity);
     let apart = farthest(&velocities, &now.velocities);
-    // Differences of a force, over the time that it acts, twice for what it feeds back.
+    // Differences of a force, times the time for which it acts, doubled for its feedback.
     assert!(apart <= 2.0 * bound * time, "velocities differ by {apart:e}");
     let positions = expected(&then.positions, Kind::Position { time });
     let apart = farthest_image(space(&scene), &positions, &now.positions);
@@ -63,7 +64,7 @@ enum Kind {
     Acceleration,
 }
 
-/// `state` with every position and every velocity through a function.
+/// `state` with a function applied to every position and every velocity.
 fn through<const D: usize>(
     state: &State<D>,
     position: impl Fn(Vector<f64, D>) -> Vector<f64, D>,
@@ -91,7 +92,7 @@ fn a_boost_changes_nothing_but_where_the_flow_is<const D: usize>() {
     });
 }
 
-/// The planes in which a box of `D` dimensions can be turned.
+/// The planes in which a box of `D` dimensions can be rotated.
 fn planes<const D: usize>() -> Vec<(usize, usize)> {
     (0..D).flat_map(|a| (a + 1..D).map(move |b| (a, b))).collect()
 }
@@ -122,7 +123,8 @@ fn mirroring_the_box_mirrors_the_flow<const D: usize>() {
 
 fn shifting_all_particles_shifts_the_flow<const D: usize>() {
     let length = scene::<D>().fluid.box_length;
-    // A hair, an arbitrary way, and once around the box less a little: many particles cross the seam.
+    // A tiny distance, an arbitrary one, and slightly less than once around the box: many particles
+    // cross the boundary.
     for shift in [1e-3, 1.234_567, length - 0.1] {
         let shift = Vector::<f64, D>(std::array::from_fn(|axis| shift * [1.0, 0.7, 0.3][axis]));
         let state = shaken::<D>(&scene::<D>());

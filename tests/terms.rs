@@ -1,5 +1,5 @@
-//! Terms of a caller's own: they run, are learned forwards and backwards, and are refused by name where a derivative
-//! is missing.
+//! A user's terms: they run, are learned forwards and backwards, and are refused by name where a
+//! derivative is missing.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -34,7 +34,7 @@ in_2d_and_3d!(
     a_column_of_a_term_is_spawned_reset_and_kept_in_snapshots,
 );
 
-/// A drag `−k |v| v` and a slow swing along the first axis.
+/// A drag `−k |v| v` and a slow oscillating force along the first axis.
 #[derive(Clone, Debug)]
 struct Drag;
 
@@ -54,13 +54,13 @@ impl ParticleForce for Drag {
         let speed = (at.velocity.norm_squared() + 1e-12).sqrt();
         let mut a = at.velocity.map(|v| -(parameters[0] * speed * v));
         let x = at.position[1] * (std::f64::consts::TAU / at.length);
-        // A wave without sines: periodic enough for a test that stays away from the seam.
+        // A wave without sines: periodic enough for a test that stays away from the boundary.
         a[0] += parameters[1] * (x * x * 0.1).tanh();
         a
     }
 }
 
-/// Soft spheres whose stiffness depends on density and approach.
+/// Soft spheres with a stiffness that depends on density and approach.
 #[derive(Clone, Debug)]
 struct SoftSpheres;
 
@@ -97,14 +97,15 @@ fn scene<const D: usize>(step: &str, loss: &str, gradient: &str) -> Scene {
         format!("learn.gradient={gradient}"),
         format!("time.step={step}"),
     ];
-    // A scene names the parameters of its terms; those that it leaves out come with the code.
+    // A scene names the parameters of its terms; the others have the values of the code.
     let mut scene = Scene::open(name, &with_all(&overrides)).unwrap();
     scene.add_force("drag", Drag);
     scene.add_pair_law("spheres", SoftSpheres);
     scene
 }
 
-/// A scene's text is checked before the code is added, so it gives a value to every parameter that it learns.
+/// A scene's text is checked before the code is added, so that it gives a value to every parameter
+/// that it learns.
 fn with_all(overrides: &[String]) -> Vec<String> {
     let mut all = overrides.to_vec();
     all[2] = "terms.drag={k=0.4,swing=0.2}".to_owned();
@@ -199,7 +200,7 @@ fn what_each_term_gives_to_momentum_is_told_by_its_name<const D: usize>() {
     assert!((sum - whole).norm() < 1e-12 * rates.scale, "{sum:?} {whole:?}");
 }
 
-/// A term that gives every particle a push, with as many derivatives as it says.
+/// A term that gives every particle a constant acceleration, with the derivatives that it declares.
 #[derive(Clone, Copy, Debug)]
 struct Push {
     tangent: bool,
@@ -239,7 +240,7 @@ fn a_term_without_a_derivative_is_refused_by_name<const D: usize>() {
             scene.learn = Scene::shipped("inverse-3d").unwrap().learn;
             scene.learn.as_mut().unwrap().gradient = gradient;
             scene.add_term::<D>("push", move |_| Box::new(Push { tangent, pullback }));
-            // Forwards it runs.
+            // It can run forwards.
             let truth = Truth::<D>::generate(&scene, (0, 10)).unwrap();
             let result = Learner::of_truth(&scene, &truth);
             let forward = gradient == Gradient::Forward;
@@ -296,13 +297,13 @@ fn a_system_that_changes_a_differentiated_flow_is_refused_by_name<const D: usize
         looked_at.flow_mut().schedule_mut().add_systems(look::<D>.after(a).before(b));
         after(&mut looked_at).unwrap();
     }
-    // A flow that is not differentiated may be slowed.
+    // A flow that is not differentiated may be modified by a system.
     let mut flow = Flow::<D>::from_state(&scene, &common::shaken(&scene)).unwrap();
     flow.schedule_mut().add_systems(slow::<D>.after(Phase::SecondKick).before(Phase::Loss));
     flow.step().unwrap();
 }
 
-/// How often a particle was kicked.
+/// Number of kicks of a particle.
 #[derive(Component, Clone, Debug, Default, PartialEq)]
 struct Kicks(u64);
 

@@ -1,7 +1,7 @@
-//! Files that were damaged, cut, glued together or made up give a value or an error: no panic, no memory
-//! beyond a multiple of what the file holds.
+//! Damaged, truncated, concatenated and invented files give a value or an error: no panic, and no
+//! memory beyond a multiple of the file's size.
 //!
-//! The same readers are fuzzed for longer by `tests/fuzz`; what it found is kept here by name.
+//! The same readers are fuzzed for longer by `tests/fuzz`; its findings are kept here by name.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -22,15 +22,15 @@ use whirls::scene::{SHIPPED, SpinUp};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// One reader at a time: the peak is the whole process's.
+/// One reader at a time, because the peak is that of the whole process.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// Memory that any reader may take, and how much more per byte of the file: what a chunk may claim to
-/// unpack to.
+/// Memory in bytes that any reader may take, and additional bytes per byte of the file: what a
+/// chunk may claim to unpack to.
 const FREE: usize = 64 << 20;
 const PER_BYTE: usize = 4 * 1024;
 
-/// Calls a reader on bytes, and holds it to the bound.
+/// Calls a reader on bytes, and asserts the bound.
 fn within_bounds(bytes: &[u8], reader: impl FnOnce(&[u8])) {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let before = MEMORY.current_usage();
@@ -105,7 +105,7 @@ fn damaged(bytes: &[u8], all: &[Damage]) -> Vec<u8> {
     bytes
 }
 
-/// A little of everything that a recording can hold.
+/// A recording with something of everything.
 fn recording(path: &Path) {
     let scene = Scene::shipped("inverse-3d").unwrap();
     let run = RunInfo { parameters: vec!["c".into()], ..whirls::run::run_info(&scene, "train") };
@@ -164,7 +164,7 @@ fn recordings() -> Vec<Vec<u8>> {
     vec![std::fs::read(&path).unwrap(), plain]
 }
 
-/// The shipped scenes, whole and so small that they are run.
+/// The shipped scenes, complete, and small enough to be run.
 fn scenes() -> Vec<Vec<u8>> {
     let scenes = SHIPPED.iter().map(|shipped| Scene::shipped(shipped.name).unwrap());
     scenes
@@ -184,7 +184,8 @@ fn small(mut scene: Scene) -> Scene {
     scene
 }
 
-/// What `tests/fuzz` starts from; `cargo test --release --test untrusted_files -- --ignored` writes it.
+/// The corpus of `tests/fuzz`; `cargo test --release --test untrusted_files -- --ignored` writes
+/// it.
 #[test]
 #[ignore = "writes the seeds of the fuzz targets"]
 fn seeds_of_the_fuzz_targets() {

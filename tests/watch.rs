@@ -1,4 +1,5 @@
-//! A flow that can no longer be trusted stops, and says which number, whose, when and what to do.
+//! A flow that exceeds its limits stops, and names the quantity, the particle, the step and a
+//! remedy.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -78,13 +79,15 @@ fn a_number_lost_in_one_particle_is_found_and_named<const D: usize>() {
         let text = error.to_string();
         let Error::Diverged { step, quantity, found, .. } = error else { panic!("{text}") };
         assert_eq!(step, 2, "forcing {name}: {text}");
-        // Whoever shares a mean with particle 17 is lost with it, but it is where the trouble began.
+        // All particles that share a mean with particle 17 are NaN as well, but the error must name
+        // particle 17.
         assert!(quantity.ends_with("of particle 17"), "forcing {name}: {text}");
         assert!(found.contains("not a finite number"), "{text}");
     }
 }
 
-/// In flows of more particles than two bytes count, lists are filled up with somebody who is far away.
+/// In flows with more particles than 16-bit entries can address, lists are padded with a distant
+/// particle.
 fn a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named<const D: usize>() {
     let scene = common::scene::<D>(if D == 2 { 257 } else { 41 });
     let mut flow = started(&scene, &shaken::<D>(&scene));
@@ -124,14 +127,14 @@ fn a_courant_number_beyond_the_limit_is_refused<const D: usize>() {
     for part in ["the Courant number of particle ", "expected at most 0.3", "time.dt"] {
         assert!(text.contains(part), "no `{part}` in: {text}");
     }
-    // A learned sound speed may pass the limit of a step chosen for another.
+    // A learned sound speed may exceed the limit of a step chosen for another sound speed.
     let mut scene = self::scene::<D>();
     scene.initial.velocity = 0.1;
     let mut flow = started(&scene, &State::<D>::initial(&scene));
     flow.set_learned(&[Parameter::C], &[4.0 * scene.fluid.c]).unwrap();
     let text = failure(&mut flow, 1).to_string();
     assert!(text.contains("Courant number"), "{text}");
-    // A fast particle counts, and is named.
+    // A fast particle exceeds the limit, and is named.
     let mut fast = State::<D>::initial(&self::scene::<D>());
     fast.velocities[31][0] = 1000.0;
     let mut flow = Flow::from_state(&self::scene::<D>(), &fast).unwrap();

@@ -1,4 +1,5 @@
-//! Flows that several test files share: a shaken lattice, a perfect one, a random cloud, two particles.
+//! Flows that several test files share: a perturbed lattice, a perfect one, a random cloud, two
+//! particles.
 
 #![allow(dead_code, unused_imports, unused_macros, reason = "each test file uses some of these")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
@@ -33,7 +34,7 @@ pub(crate) const FORCINGS: [(&str, Forcing); 5] = [
     ),
 ];
 
-/// Turns each promise `fn promise<const D: usize>()` into one test per dimension.
+/// Turns each function `fn promise<const D: usize>()` into one test per dimension.
 macro_rules! in_2d_and_3d {
     ($($promise:ident),* $(,)?) => {
         mod in_2d { $( #[test] fn $promise() { super::$promise::<2>() } )* }
@@ -42,8 +43,8 @@ macro_rules! in_2d_and_3d {
 }
 pub(crate) use in_2d_and_3d;
 
-/// The shipped scene of a dimension with `per_side` particles along each axis, as many neighbours
-/// as the paper's, the default step, no forcing and nothing to learn.
+/// The shipped scene of a dimension with `per_side` particles along each axis, the number of
+/// neighbours of the paper, the default step, no forcing and no training.
 pub(crate) fn scene<const D: usize>(per_side: usize) -> Scene {
     let mut scene = Scene::shipped(if D == 2 { "inverse-2d" } else { "inverse-3d" }).unwrap();
     let spacing = scene.fluid.box_length / per_side as f64;
@@ -78,7 +79,7 @@ pub(crate) fn lattice<const D: usize>(scene: &Scene) -> State<D> {
     State::initial(&still)
 }
 
-/// A lattice whose particles are moved by up to a tenth of their distance, with normal velocities:
+/// A lattice with particles displaced by up to a tenth of their distance, with normal velocities:
 /// disordered, without close pairs.
 pub(crate) fn shaken<const D: usize>(scene: &Scene) -> State<D> {
     let mut shaken = scene.clone();
@@ -141,7 +142,7 @@ pub(crate) fn started<const D: usize>(scene: &Scene, state: &State<D>) -> Flow<D
     flow
 }
 
-/// Densities of a state; nothing is judged.
+/// Densities of a state; limits are not checked.
 pub(crate) fn densities<const D: usize>(scene: &Scene, state: &State<D>) -> Vec<f64> {
     let mut scene = scene.clone();
     (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
@@ -176,26 +177,26 @@ pub(crate) fn largest(numbers: impl Iterator<Item = f64>) -> f64 {
     numbers.fold(0.0, |most, x| if x.is_nan() || most.is_nan() { f64::NAN } else { most.max(x) })
 }
 
-/// How much round-off an acceleration may carry: every position is known to one unit in the last
-/// place of the box, and a pair force changes by about `(c/h)²` per distance; a hundred covers the
+/// Round-off of an acceleration: every position has an error of one unit in the last place of the
+/// box, and a pair force changes by about `(c/h)²` per distance. A factor of a hundred covers the
 /// number of neighbours and the steepness of the equation of state at `γ = 7`.
 pub(crate) fn acceleration_round_off(scene: &Scene) -> f64 {
     let rate = scene.fluid.c / scene.fluid.smoothing_length;
     100.0 * rate * rate * f64::EPSILON * scene.fluid.box_length
 }
 
-/// How a gradient stands against differences of its loss along a direction.
+/// A comparison of a gradient with differences of its loss along a direction.
 #[derive(Debug)]
 pub(crate) struct TaylorTest {
-    /// How far the best of several central differences is from the slope that the gradient gives, as a share of it or of
-    /// a thousandth of both lengths where that is more.
+    /// Smallest difference between central differences and the slope given by the gradient,
+    /// relative to that slope or, if it is larger, to a thousandth of the product of both lengths.
     pub(crate) difference: f64,
-    /// By which power of the step the remainder `L(x + s d) − L(x) − s g·d` falls: two or more for an exact gradient, one
-    /// for any other.
+    /// The power of the step with which the remainder `L(x + s d) − L(x) − s g·d` falls: two or
+    /// more for an exact gradient, one for any other.
     pub(crate) slope: f64,
 }
 
-/// Differences of a loss along a direction against an evaluation's gradient.
+/// Compares differences of a loss along a direction with an evaluation's gradient.
 pub(crate) fn taylor_slope(
     loss: &mut impl FnMut(&[f64]) -> f64,
     (at, direction): (&[f64], &[f64]),
@@ -214,8 +215,8 @@ pub(crate) fn taylor_slope(
             difference = difference.min((slope - exact).abs() / size);
         }
     }
-    // The remainder of an exact gradient is a parabola where the step is short; the four shortest steps at which it
-    // stands above round-off of the loss show it.
+    // For short steps the remainder of an exact gradient is a parabola. It is fitted at the four
+    // shortest steps at which it is above the round-off of the loss.
     let floor = 1e4 * f64::EPSILON * found.loss.abs();
     let mut above: Vec<(f64, f64)> = Vec::new();
     for halvings in 3..20 {
@@ -229,7 +230,7 @@ pub(crate) fn taylor_slope(
     TaylorTest { difference, slope: slope(&above[above.len() - 4..]) }
 }
 
-/// The slope of `ln y` over `ln x` by least squares: the order that errors `y` at steps `x` show.
+/// The slope of `ln y` over `ln x` by least squares: the order of errors `y` at steps `x`.
 pub(crate) fn slope(points: &[(f64, f64)]) -> f64 {
     let count = points.len() as f64;
     let (mean_x, mean_y) =

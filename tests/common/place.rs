@@ -36,10 +36,10 @@ frames = 4
 windows = [1]
 "#;
 
-/// A folder of its own, with the small scene in it, where commands run.
+/// A temporary folder with the small scene in it, in which commands run.
 pub(crate) struct Place(tempfile::TempDir);
 
-/// What a command left behind.
+/// The result of a command.
 pub(crate) struct Done {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
@@ -87,7 +87,7 @@ impl Place {
         serde_json::from_str(done.out.lines().last().unwrap()).unwrap()
     }
 
-    /// A command that refuses its input: exit code 2, the reason on standard error, none of it on
+    /// A command that refuses its input: exit code 2, the reason on standard error, nothing on
     /// standard output.
     #[track_caller]
     pub(crate) fn refuses(&self, binary: &str, arguments: &[&str], parts: &[&str]) {

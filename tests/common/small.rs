@@ -1,4 +1,5 @@
-//! A small flow in two dimensions whose parameters are known, as states, arrays and recordings, to spoil in every way.
+//! A small flow in two dimensions with known parameters, as states, arrays and recordings, to be
+//! corrupted by tests.
 
 #![allow(dead_code, reason = "each test file uses some of these")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
@@ -38,7 +39,7 @@ frames = 10
 windows = [1, 3]
 "#;
 
-/// What is to be learned from it.
+/// The training settings.
 pub(crate) const ANSWER: [f64; 4] = [12.0, 1.0, 2.0, 7.0];
 
 /// Its scene, with overrides.
@@ -52,7 +53,7 @@ pub(crate) fn truth() -> Truth<2> {
     Truth::generate(&scene(&[]), (0, 10)).unwrap()
 }
 
-/// Records states as `simulate` does, perhaps in another scene than their own.
+/// Records states as `simulate` does, optionally with another scene than their own.
 pub(crate) fn record(truth: &Truth<2>, scene: &Scene, path: &Path) {
     let mut recorder = Recorder::create(path, &run_info(scene, "simulate")).unwrap();
     for (k, (state, densities)) in truth.states.iter().zip(&truth.densities).enumerate() {
@@ -113,7 +114,7 @@ pub(crate) fn write_arrays(folder: &Path, [r, v, rho]: &[Vec<u8>; 3]) {
     }
 }
 
-/// A frame with nothing but its rows.
+/// A frame with rows only.
 pub(crate) fn frame(rows: usize) -> Frame {
     let row = |k: usize| [0.1 * k as f64, 0.2];
     Frame::new(0, 0.0, (0..rows).map(row), (0..rows).map(row), vec![1.0; rows])

@@ -1,5 +1,5 @@
-//! Readers of files that nobody vouches for, each of which must give a value or an error for any bytes:
-//! what the random tests and the fuzz targets call.
+//! Readers of untrusted files. Each must give a value or an error for any bytes; the random tests
+//! and the fuzz targets call them.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
@@ -11,11 +11,12 @@ use whirls::run::truth_from_recording;
 use whirls::truth::Truth;
 use whirls::{Error, Flow, Scene};
 
-/// Most particles, steps, nodes and weights of a scene that is run, too: others only take longer.
+/// Number of particles, steps, nodes and weights up to which an accepted scene is also run: others
+/// only take longer.
 const SMALL: usize = 400;
 
-/// Reads a scene. One that is accepted survives being written out; a small one starts, learns and steps,
-/// or says why not.
+/// Reads a scene. An accepted one can be written and read back; a small one starts, learns and
+/// steps, or gives a reason.
 pub(crate) fn scene(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     match Scene::parse(text, "bytes", &[]) {
@@ -80,7 +81,7 @@ pub(crate) fn array(bytes: &[u8]) {
     }
 }
 
-/// Reads everything in a recording, and what `recover` saves of it.
+/// Reads everything in a recording, and what `recover` recovers of it.
 pub(crate) fn recording(bytes: &[u8], folder: &Path) {
     let [given, saved] = ["given.mcap", "saved.mcap"].map(|name| folder.join(name));
     std::fs::write(&given, bytes).unwrap();

@@ -1,4 +1,4 @@
-//! What all benchmarks share: arguments, the flow they run, runs in turn.
+//! Common to all benchmarks: arguments, the measured flow, alternating runs.
 
 #![allow(dead_code, reason = "each benchmark uses some of these")]
 
@@ -115,7 +115,7 @@ pub(crate) struct Setting {
 
 impl Setting {
     /// The paper's flow in 3D with the field loss: ten steps of 4096 particles, fewer steps of more
-    /// particles with as many neighbours; two of 216 for a quick run.
+    /// particles with the same number of neighbours; two of 216 for a quick run.
     pub(crate) fn of_the_paper(arguments: &Arguments, side: usize) -> Self {
         let (side, after, frames) = match (arguments.quick, side) {
             (true, _) => (6, 19, 2),
@@ -144,32 +144,32 @@ impl Setting {
     }
 }
 
-/// What a scene learns, to change.
+/// The training settings of the scene, mutable.
 pub(crate) fn learn(scene: &mut Scene) -> &mut Learn {
     scene.learn.as_mut().unwrap()
 }
 
-/// One run of what is measured; says how many bytes it held.
+/// One run of what is measured; returns the number of bytes it held.
 pub(crate) type Run<'a> = Box<dyn FnMut() -> usize + 'a>;
 
-/// What a run took.
+/// The measurements of a run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Took {
     /// Median of its milliseconds.
     pub(crate) milliseconds: f64,
-    /// Median of its time over that of the two runs of the reference around it.
+    /// Median of its time divided by that of the two reference runs around it.
     pub(crate) ratio: f64,
-    /// Most bytes held.
+    /// Largest number of bytes held.
     pub(crate) bytes: usize,
 }
 
-/// Measures runs in turn, each between two runs of a reference, so that a machine that slows down or
-/// is shared with others slows both; the first in the result is the reference.
+/// Measures runs in alternation, each between two runs of a reference, so that a slow or shared
+/// machine affects both; the first result is that of the reference.
 pub(crate) fn in_turn(rounds: usize, reference: Run<'_>, runs: &mut [Run<'_>]) -> Vec<Took> {
     in_turn_and_tidy(rounds, reference, runs, &mut || {})
 }
 
-/// The same, with what is to be done behind each run and is not measured.
+/// The same, with an action after each run that is not measured.
 pub(crate) fn in_turn_and_tidy(
     rounds: usize,
     mut reference: Run<'_>,
@@ -178,7 +178,7 @@ pub(crate) fn in_turn_and_tidy(
 ) -> Vec<Took> {
     let mut samples = vec![Vec::new(); runs.len() + 1];
     let mut bytes = vec![0; runs.len() + 1];
-    // The first run of each finds its memory, and is not counted.
+    // The first run of each allocates its memory, and is not counted.
     bytes[0] = reference();
     runs.iter_mut().zip(&mut bytes[1..]).for_each(|(run, bytes)| *bytes = run());
     tidy();
@@ -207,7 +207,7 @@ fn milliseconds(run: &mut Run<'_>) -> f64 {
     1e3 * clock.elapsed().as_secs_f64()
 }
 
-/// The number in the middle, NaN of none.
+/// The median; NaN for an empty list.
 pub(crate) fn median(numbers: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = numbers.collect();
     sorted.sort_by(f64::total_cmp);

@@ -1,4 +1,5 @@
-//! What a feature costs that a scene does not ask for: time without it over time with it.
+//! The cost of a feature that a scene does not use: time without the feature divided by time with
+//! it.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
 #![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
@@ -16,7 +17,7 @@ use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
 use whirls::systems::loss::Observations;
 use whirls::truth::Truth;
 
-/// A scene, a state of its flow and what was observed behind it.
+/// A scene, a state of its flow, and the observations after it.
 struct Setting<const D: usize> {
     scene: Scene,
     start: State<D>,
@@ -24,7 +25,8 @@ struct Setting<const D: usize> {
 }
 
 impl<const D: usize> Setting<D> {
-    /// Ten steps of 4096 particles, with as many neighbours as the paper's; few for a quick run.
+    /// Ten steps of 4096 particles, with the number of neighbours of the paper; few for a quick
+    /// run.
     fn new(quick: bool) -> Self {
         let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
         let side = match (D, quick) {
@@ -51,14 +53,14 @@ impl<const D: usize> Setting<D> {
         self.observations.frames.len() as u64
     }
 
-    /// The flow of the scene with something changed.
+    /// The flow of a modified scene.
     fn simulated(&self, change: impl FnOnce(&mut Scene)) -> Run<'_> {
         let mut scene = self.scene.clone();
         change(&mut scene);
         self.run(Flow::from_state(&scene, &self.start).unwrap())
     }
 
-    /// The same, compared with what was observed and carrying sensitivities to so many parameters.
+    /// The same, with observations and with sensitivities to `parameters` parameters.
     fn learned(&self, parameters: usize, observed: bool) -> Run<'_> {
         let columns = Parameter::PHYSICAL[..parameters].to_vec();
         let by = Differentiation { parameters: columns, coupling: Coupling::Full };

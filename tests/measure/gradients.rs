@@ -1,4 +1,5 @@
-//! What a gradient costs, in forward runs of the same model: adjoint and forward mode, model by model.
+//! The cost of a gradient, in forward runs of the same model: adjoint and forward mode, model by
+//! model.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
 #![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
@@ -13,10 +14,10 @@ use whirls::scalar::WIDTH;
 use whirls::sensitivity::{Coupling, Storage, adjoint_gradient};
 use whirls::{Flow, Scene};
 
-/// Snapshots of the adjoint with checkpoints.
+/// Number of snapshots of the adjoint with checkpoints.
 const SNAPSHOTS: usize = 3;
 
-/// Most forward runs that the adjoint of a model may take, by the target.
+/// Number of forward runs that the adjoint of a model may take, maximum, as a target.
 fn target(kind: &str) -> f64 {
     if matches!(kind, "physics" | "eos-nn") { 3.0 } else { 4.0 }
 }
@@ -44,7 +45,7 @@ fn main() {
     arguments.sides.iter().for_each(|&side| measure(&arguments, side));
 }
 
-/// All models with so many particles along a side.
+/// All models with `side` particles along a side.
 fn measure(arguments: &Arguments, side: usize) {
     let setting = Setting::of_the_paper(arguments, side);
     println!("\n{} particles, {} steps", setting.scene.particles(), setting.steps());
@@ -98,12 +99,13 @@ impl Contestant {
         Self { scene, kind, learned, columns }
     }
 
-    /// How many parameters the adjoint is the gradient by: the paper learns four of physics.
+    /// Number of parameters in the adjoint's gradient: the paper learns four of physics.
     fn count(&self) -> usize {
         if self.kind == "physics" { 4 } else { self.learned.len() }
     }
 
-    /// The forward run, that with the loss, the adjoint with both storages, then forward mode by number of columns.
+    /// The forward run, that with the loss, the adjoint with both storages, then forward mode by
+    /// number of columns.
     fn measure(&self, setting: &Setting, rounds: usize) -> Vec<Took> {
         let start = &setting.truth.states[0];
         let build = |by: Option<&Differentiation>, observations| {
@@ -154,8 +156,9 @@ impl Contestant {
         );
     }
 
-    /// One line for each number of parameters, with what each parameter more has cost since the line before
-    /// and what the adjoint would cost; then where the adjoint becomes cheaper.
+    /// One line for each number of parameters, with the cost of each further parameter since the
+    /// line before and the cost of the adjoint; then the number of parameters from which the
+    /// adjoint is cheaper, if any.
     fn print_forward_mode(&self, took: &[Took]) {
         let (adjoint, forward) = (took[2].ratio, &took[4..]);
         let mut before: Option<(usize, f64)> = None;
@@ -204,7 +207,7 @@ fn run_of(flow: Flow<3>, setting: &Setting) -> Run<'_> {
     })
 }
 
-/// With other physical parameters than the truth's, so that there is something to differentiate.
+/// With other physical parameters than the truth's, so that the gradient is not zero.
 fn off_the_truth(mut flow: Flow<3>) -> Flow<3> {
     for (parameter, factor) in Parameter::PHYSICAL.iter().zip([0.8, 0.7, 1.3, 0.75, 0.9]) {
         if let Some(value) = flow.parameters().get(parameter) {

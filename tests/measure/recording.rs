@@ -1,4 +1,4 @@
-//! What recording every step costs: the same steps with and without it, by number of particles,
+//! The cost of recording every step: the same steps with and without it, by number of particles,
 //! neighbours and threads.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
@@ -71,8 +71,8 @@ impl Contestant {
 
     fn print(self, arguments: &Arguments, folder: &std::path::Path) {
         let Self { scene, flow, neighbours, steps } = self;
-        // Each file is deleted behind its run, so that the next one gets its pages: in a virtual machine pages
-        // that are touched for the first time cost more than a step.
+        // Each file is deleted after its run, so that the next one gets its pages: in a virtual
+        // machine, touching a page for the first time takes longer than a step.
         let (folder, info) = (tempfile::tempdir_in(folder).unwrap(), run_info(&scene, "measure"));
         let path = folder.path().join("measure.mcap");
         let flow = RefCell::new(flow);
@@ -103,7 +103,7 @@ impl Contestant {
             took[0].milliseconds * each,
             took[1].milliseconds * each,
             took[1].ratio,
-            // The flow as it stands before the first step is a frame, too.
+            // The initial state is recorded as a frame, too.
             bytes / (n * (steps + 1) as f64),
             1e-3 * bytes / took[1].milliseconds,
         );

@@ -1,5 +1,5 @@
-//! What a step costs: density and forces against what the arithmetic alone takes and against a plain
-//! loop, the search for neighbours, the whole step; by number of particles, neighbours, precision.
+//! The cost of a step: density and forces compared with the pure arithmetic and with a plain loop,
+//! the neighbour search, the whole step; by number of particles, neighbours, precision.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
 #![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
@@ -76,7 +76,7 @@ fn main() {
     );
 }
 
-/// What the arithmetic alone takes by every instruction set, in nanoseconds per pair.
+/// Time of the pure arithmetic with every instruction set, in nanoseconds per pair.
 #[derive(Clone)]
 struct TimedFloor<'a> {
     medium: &'a Medium<3>,
@@ -94,7 +94,7 @@ impl Pass for TimedFloor<'_> {
     }
 }
 
-/// The floor of each instruction set and precision: what mixed precision could give.
+/// The lower bound of each instruction set and precision: the possible gain of mixed precision.
 fn print_floors(rounds: usize) {
     let scene = Scene::open("inverse-3d", &[]).unwrap();
     let medium = &Medium::<3>::of(&scene, scene.particles());
@@ -111,7 +111,7 @@ fn print_floors(rounds: usize) {
     println!();
 }
 
-/// The time that searches for neighbours take within steps.
+/// The time of neighbour searches within steps.
 #[derive(Resource)]
 struct Search {
     began: Instant,
@@ -135,8 +135,8 @@ struct Contestant {
     neighbours: f64,
 }
 
-/// Steps that are timed together: as many as lists serve, several times over, as the first of them finds
-/// lists that were built just before.
+/// Steps that are timed together: several times the number for which lists are valid, because the
+/// first of them uses lists that were just built.
 fn steps_of(particles: usize) -> u64 {
     (400_000 / particles).clamp(12, 40) as u64
 }
@@ -222,7 +222,7 @@ impl Contestant {
         let own = per(&took[0], pairs);
         let floor = per(&took[1], 200_000.0 * WIDTH as f64);
         let whole = per(&took[5], all);
-        // The first steps find their memory, and are not counted.
+        // The first steps allocate memory, and are not counted.
         let share = median(shares.borrow()[1..].iter().copied());
         println!(
             "{:8} {:10.1} {:>9} | {:8.1} {:7.2} {:7.2} {:7.2}x {:6.1}x | {:8.1} {:7.2} {:6.2}x | {:5.0}% {:6.1} {:6.1} {:6.2} {:8.0}",
@@ -246,7 +246,7 @@ impl Contestant {
     }
 }
 
-/// Density and force of pairs whose operands are in registers.
+/// Density and force of pairs with operands in registers.
 struct Floor<'a> {
     medium: &'a Medium<3>,
     rounds: usize,
@@ -279,7 +279,7 @@ impl Pass for Floor<'_> {
             }
             let r = space.minimum_image(r);
             density += self.medium.smoothing.value(r.norm_squared().sqrt()).widen();
-            // Not the same distance, or the compiler would take one root for both.
+            // Different distances, because the compiler would compute equal roots once.
             let pair =
                 Pair { r2: r.norm_squared() + drift, approach: v.dot(r), rho_i: rho, rho_j: rho };
             let along = r * self.medium.strength(&pair, stress + stress);

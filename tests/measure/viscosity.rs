@@ -1,10 +1,11 @@
-//! The viscosity that acts against the one that is asked for: decaying Taylor–Green flow.
+//! The effective viscosity against the requested one: decaying Taylor–Green flow.
 //!
-//! `cargo bench --bench viscosity` prints, for each laminar viscosity, width of the kernel and resolution, the measured
-//! `ν` over the asked one. In 2D (box 1, `U = 1`) theory says `E(t) = E(0) e^{−4νk²t}`, `k = 2π`; measured is the slope
-//! of `ln E` while `E` falls to 0.7 of its first value, and from 0.9 to 0.5: particles leave their lattice meanwhile,
-//! and the disorder takes energy that no viscosity took. In 3D (box 2π) `E(5)`, `E(10)` and the largest dissipation
-//! stand beside those of a spectral solution.
+//! `cargo bench --bench viscosity` prints, for each laminar viscosity, kernel width and resolution,
+//! the measured `ν` divided by the requested one. In 2D (box 1, `U = 1`) theory gives
+//! `E(t) = E(0) e^{−4νk²t}`, `k = 2π`. The slope of `ln E` is measured while `E` falls to 0.7 of
+//! its initial value, and from 0.9 to 0.5: meanwhile particles leave their lattice, and the
+//! disorder takes energy that no viscosity dissipated. In 3D (box 2π) `E(5)`, `E(10)` and the
+//! largest dissipation are printed next to those of a spectral solution.
 
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement prints, and may stop")]
 
@@ -65,7 +66,7 @@ fn scene(arguments: &Arguments, (kind, width, side): Row<'_>) -> Scene {
     Scene::parse(&text, "taylor-green", &[]).expect("a scene")
 }
 
-/// `(t, E)` until `until` says that it is enough.
+/// `(t, E)` until `until` returns true.
 fn energies<const D: usize>(scene: &Scene, until: impl Fn(f64, f64) -> bool) -> Vec<(f64, f64)> {
     let mut flow = Flow::<D>::new(scene).expect("a flow");
     let mut found = Vec::new();
@@ -84,7 +85,7 @@ fn energies<const D: usize>(scene: &Scene, until: impl Fn(f64, f64) -> bool) -> 
     }
 }
 
-/// Minus the slope of `ln E` over time by least squares, between two shares of the first energy.
+/// Minus the slope of `ln E` over time by least squares, between two shares of the initial energy.
 fn decay(energies: &[(f64, f64)], (most, least): (f64, f64)) -> f64 {
     let first = energies[0].1;
     let within = energies.iter().filter(|(_, e)| (least..=most).contains(&(e / first)));
@@ -114,7 +115,7 @@ fn in_3d(arguments: &Arguments, row: Row<'_>) {
         energies[after].1
     };
     let dissipation = |w: &[(f64, f64)]| (w[0].1 - w[w.len() - 1].1) / (w[w.len() - 1].0 - w[0].0);
-    // Over a quarter of a time unit: sound waves come and go within.
+    // Over a quarter of a time unit, in which sound waves average out.
     let step = energies[1].0 - energies[0].0;
     let window = (0.25 / step).ceil() as usize;
     let most = energies.windows(window.max(2)).map(dissipation).fold(0.0, f64::max);
@@ -130,7 +131,7 @@ fn in_3d(arguments: &Arguments, row: Row<'_>) {
 fn main() {
     let mut arguments = Arguments::parse();
     if !arguments.bench {
-        // Of `cargo test`: whether it runs.
+        // For `cargo test`: checks only that it runs.
         (arguments.sides, arguments.widths) = (vec![12], vec![1.5]);
     }
     let Arguments { dimension, reynolds, kernel, sound, background, .. } = &arguments;
