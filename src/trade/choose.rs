@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(read, first.scene);
     }
 
-    /// The accuracy must hold at the end of the calibration.
+    /// A scene with a requested accuracy is refused until a step has been chosen.
     #[test]
     fn no_flow_runs_before_its_step_is_chosen() {
         let (scene, state) = small(&["accuracy=1e-2"]);
