@@ -7,7 +7,7 @@
 
 use crate::scalar::Lanes;
 use crate::vector::Vector;
-use rustfft::num_complex::Complex;
+use num_complex::Complex;
 
 /// The largest component of a wave vector.
 pub const LONGEST: usize = 64;

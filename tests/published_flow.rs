@@ -1,7 +1,9 @@
 //! The engine against a flow that others computed and published: imported, stepped, learned from.
 //!
-//! The arrays are not part of this project. Where their folder is missing the tests are skipped, and
-//! say so.
+//! The arrays are not part of this project: their repository names no licence. They are read from
+//! `../shared/data/woodward-2d` beside the repository, or from the folder that `WHIRLS_PUBLISHED_FLOW` names. Where it is
+//! missing the tests say that they are skipped; they fail where `CI=true`. What every clone can check is
+//! `tests/reference_flows.rs`.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -9,7 +11,7 @@
 mod common;
 
 use common::{farthest, farthest_image, largest, space, started};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 use whirls::Scene;
 use whirls::flow::State;
@@ -32,8 +34,10 @@ fn scene() -> Scene {
 
 /// The published frames, by way of the `import` command; `None` where they are missing.
 fn published() -> Option<Truth<2>> {
-    let folder = Path::new("../shared/data/woodward-2d");
+    let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/woodward-2d");
+    let folder = std::env::var_os("WHIRLS_PUBLISHED_FLOW").map_or_else(beside, PathBuf::from);
     if !folder.is_dir() {
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no flow in {}", folder.display());
         println!("skipped: there is no {}", folder.display());
         return None;
     }

@@ -16,8 +16,9 @@ use proptest::prelude::*;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use whirls::Scene;
-use whirls::recording::{Conservation, Flow, Frame, Level, Recorder, RunInfo, TrainStep, Values};
+use whirls::recording::{Flow, Frame, Level, Recorder, RunInfo, TrainStep, Values};
 use whirls::scene::{SHIPPED, SpinUp};
+use whirls::statistics::Conservation;
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;

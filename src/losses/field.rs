@@ -6,7 +6,7 @@ use super::mesh::Mesh;
 use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
-use crate::scalar::{Pass, Precision, Wide, dispatch_by_kernel};
+use crate::scalar::{Pass, Wide, dispatch_doubles_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -93,7 +93,7 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
                 columns: &mut columns,
             };
             let is_table = self.points.smoothing.is_table();
-            dispatch_by_kernel(is_table, Precision::Double, pass);
+            dispatch_doubles_by_kernel(is_table, pass);
         }
         columns
     }
@@ -240,7 +240,7 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
         let into = (position, velocity, density);
         let pass = TakePass { points, lattice: &lattice, nodes, particles, into };
         let is_table = points.smoothing.is_table();
-        dispatch_by_kernel(is_table, Precision::Double, pass);
+        dispatch_doubles_by_kernel(is_table, pass);
     });
     adjoint
 }
