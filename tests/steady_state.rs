@@ -2,34 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
-#![allow(unsafe_code, reason = "an allocator that counts has no other way")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "common/counting.rs"]
+mod counting;
+
+use counting::ASKED;
+use std::sync::atomic::Ordering;
 use whirls::systems::neighbours::Neighbours;
 use whirls::{Flow, Scene};
-
-/// The system's allocator, which also counts how often it is asked.
-struct Counting;
-
-static ASKED: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: everything is passed on as it is.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ASKED.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is the one asked for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is the one asked for.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// How often memory was asked for in 40 steps of a developed flow, and how often lists were built.
 fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
@@ -40,7 +20,7 @@ fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     let mut found = (0, 0);
     // A thread that is still coming up asks for its own memory, so all shall have worked once.
     rayon::broadcast(|_| ());
-    // On a thread of the pool: whoever comes from outside hands his work over in a box.
+    // On a thread of the pool: work from another thread is handed over in a box.
     rayon::scope(|_| {
         (0..20).for_each(|_| flow.step().unwrap());
         let before = (ASKED.load(Ordering::Relaxed), rebuilds(&flow));
@@ -51,16 +31,19 @@ fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     found
 }
 
-/// One test, so that nobody else allocates meanwhile.
+/// One test: another at the same time would be counted, too.
 #[test]
 fn a_flow_that_has_found_its_memory_allocates_nothing_in_a_step() {
     let mixed = "precision='mixed'";
+    let ou = "forcing={kind='ornstein-uhlenbeck',power=0.1,correlation_time=0.5,band=2.5}";
     let step = "time.step='kick-drift-kick'";
     for (asked, builds) in [
         asked::<2>("inverse-2d", &[]),
         asked::<3>("inverse-3d", &[]),
         asked::<3>("inverse-3d", &[step, mixed]),
         asked::<3>("inverse-3d", &["forcing={kind='none'}"]),
+        asked::<3>("inverse-3d", &["forcing={kind='stochastic',interval=0.05,strength=1.0}"]),
+        asked::<2>("inverse-2d", &[ou]),
     ] {
         assert!(builds > 4, "the lists were built anew");
         assert_eq!(asked, 0);

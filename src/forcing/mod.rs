@@ -244,13 +244,24 @@ impl Mode {
 /// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`; phases (and directions in 3D) belong to the `interval`-th
 /// stretch of time of the flow with this `seed`, however long a step is.
 pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64) -> Vec<Mode> {
+    let mut modes = Vec::new();
+    draw_stochastic_modes((dimension, length), (seed, interval), &mut modes);
+    modes
+}
+
+/// [`stochastic_modes`] in place of others, in their memory.
+pub(crate) fn draw_stochastic_modes(
+    (dimension, length): (usize, f64),
+    (seed, interval): (u64, u64),
+    modes: &mut Vec<Mode>,
+) {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
     generator.set_stream(interval);
     let depth: &[i32] = if dimension == 3 { &[-2, -1, 0, 1, 2] } else { &[0] };
     let plane = (-2..=2).flat_map(|x| (-2..=2).map(move |y| [x, y]));
     let lattice = plane.flat_map(|[x, y]| depth.iter().map(move |&z| [x, y, z]));
     let positive = |n: &[i32; 3]| n.iter().rev().find(|&&x| x != 0).is_some_and(|&x| x > 0);
-    let mut modes = Vec::new();
+    modes.clear();
     for n in lattice.filter(positive) {
         let n = n.map(f64::from);
         let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
@@ -265,7 +276,6 @@ pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64)
             });
         }
     }
-    modes
 }
 
 /// A vector of length `|n|` perpendicular to `n`: `(−n_y, n_x)` in 2D, turned by `angle` around `n`
