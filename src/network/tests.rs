@@ -2,9 +2,7 @@
 
 use super::*;
 use crate::scalar::{Dual, Lanes, WIDTH};
-use pulp::{Arch, NullaryFnOnce};
 use rand::SeedableRng;
-use std::time::Instant;
 
 /// The shapes of the hierarchy, and one with everything different.
 const SHAPES: [(usize, usize, usize); 6] =
@@ -195,70 +193,5 @@ fn huge_weights_saturate_and_stay_finite() {
         let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
         network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
         assert!(by_input.iter().all(finite) && by_parameter.iter().all(finite));
-    }
-}
-
-/// One of the hot calls, many times over, under the widest instructions.
-struct Work<'a> {
-    case: &'a mut Case,
-    kind: &'static str,
-    rounds: usize,
-}
-
-impl NullaryFnOnce for Work<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn call(self) -> f64 {
-        let Case { network, parameters, input, workspace } = self.case;
-        let mut by_input = vec![Lanes::ZERO; network.inputs()];
-        let mut by_parameter = vec![Lanes::ZERO; network.parameter_count()];
-        let mut jacobian = vec![Lanes::ZERO; network.inputs() * network.outputs()];
-        let cotangent = vec![Lanes::of(1.0); network.outputs()];
-        let mut sum = 0.0;
-        for _ in 0..self.rounds {
-            let input = std::hint::black_box(&*input);
-            sum += network.value::<Lanes>(parameters, input, workspace)[0].to_array()[0];
-            match self.kind {
-                "pullback" => {
-                    let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-                    network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
-                }
-                "jacobian" => network.jacobian::<Lanes>(parameters, workspace, &mut jacobian),
-                "parameters" => {
-                    network.parameter_gradient::<Lanes>(
-                        parameters,
-                        0,
-                        workspace,
-                        &mut by_parameter,
-                    );
-                }
-                "tanh" => sum += tanh(input[0]).to_array()[0],
-                _ => {}
-            }
-            std::hint::black_box((&by_input, &by_parameter, &jacobian));
-        }
-        sum
-    }
-}
-
-/// `cargo test --release --lib network -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement, not a promise"]
-fn nanoseconds_per_pair() {
-    for mut case in cases() {
-        let shape = case.network;
-        for kind in ["value", "pullback", "jacobian", "parameters"] {
-            let rounds = 2_000_000 / shape.parameter_count();
-            let mut best = f64::INFINITY;
-            for _ in 0..7 {
-                let start = Instant::now();
-                let work = Work { case: &mut case, kind, rounds };
-                std::hint::black_box(Arch::new().dispatch(work));
-                best = best.min(start.elapsed().as_secs_f64());
-            }
-            let nanoseconds = best * 1e9 / (rounds * WIDTH) as f64;
-            println!("{shape:?} value and {kind}: {nanoseconds:.2} ns per pair");
-        }
     }
 }
