@@ -1,4 +1,6 @@
 //! Where the truth comes from: a flow run on the spot.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use crate::cells::Cells;
 use crate::error::{Error, Result};

@@ -1,4 +1,5 @@
-//! The order of each kind of step, with viscosity and forcing on: slopes, not values.
+//! The order of each kind of step, with viscosity and forcing on: slopes, not values. The paper's step is that of
+//! Woodward et al. (arXiv:2110.13311), appendix A.4.
 //!
 //! The flow is gentle: a slow smooth motion on a lattice, so that few pairs turn from approach to
 //! recession while the flow is watched. At such a turn the viscosity has a kink, which costs a step

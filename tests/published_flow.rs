@@ -1,4 +1,5 @@
-//! The engine against a flow that others computed and published: imported, stepped, learned from.
+//! The engine against a flow that others computed and published, the 2D flow of Woodward et al. (arXiv:2110.13311):
+//! imported, stepped, learned from.
 //!
 //! The arrays are not part of this project: their repository names no licence. They are read from
 //! `../shared/data/woodward-2d` beside the repository, or from the folder that `WHIRLS_PUBLISHED_FLOW` names. Where it is

@@ -1,5 +1,7 @@
 //! What stirs the flow: deterministic energy injection and stochastic large-scale modes, appendix A.3, and
 //! the stochastic forcing with a memory of Eswaran & Pope, [`ornstein_uhlenbeck`].
+//!
+//! Appendices are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 pub mod ornstein_uhlenbeck;
 

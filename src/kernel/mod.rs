@@ -15,6 +15,8 @@
 //! is a file with a [`LearnableShape`] and a line in the list below. Whether a kernel lets particles
 //! pair up is told by its [`Transform`]. Normalisation, moments and derivatives: `tests/kernels.rs`, and
 //! `tests/kernel_tables.rs` for those with a learnable shape.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 mod any;
 mod choice;

@@ -1,4 +1,6 @@
 //! The field loss `L_f`: the smoothed velocity field on a mesh, against the truth's.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::StateAdjoint;
 use super::lattice::{Lattice, Meet, load_at, store_at};

@@ -129,7 +129,7 @@ impl Nodes {
 }
 
 impl Density1d {
-    /// The density of `truth` on `nodes` nodes; 200 are the paper's.
+    /// The density of `truth` on `nodes` nodes; Woodward et al. (arXiv:2110.13311) take 200.
     ///
     /// # Errors
     /// [`Error::Input`] for no sample, one that is not finite, or fewer than 16 nodes.

@@ -1,4 +1,6 @@
 //! What every model stands on, and the pair force of a fluid, Eq. (7).
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::{CentralSlope, PairCotangent};
 use crate::kernel::{AnyKernel, Kernel, KernelChoice, Smoothing};

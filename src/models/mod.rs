@@ -28,6 +28,8 @@
 //! **A law of your own** between two particles is one function, [`CentralForce`], which dual numbers differentiate;
 //! [`crate::scene::Scene::add_pair_law`] adds it to a scene, and its parameters are learned like any other. A law that
 //! needs more (a network, every cycle) implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 mod central;
 mod laminar;

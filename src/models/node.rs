@@ -1,4 +1,6 @@
 //! A neural ODE, Eq. (2): one network of a particle's whole neighbourhood.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::scales::Units;
 use super::{

@@ -51,7 +51,7 @@ fn dual(case: &Case, lane: usize, index: usize) -> Vec<f64> {
 fn a_network_has_as_many_parameters_as_its_layers_hold() {
     let counts = SHAPES.map(|(i, l, o)| Network::new(i, l, o).unwrap().parameter_count());
     assert_eq!(counts, [56, 61, 83, 141, 653, 109]);
-    // The counts that the paper's runs report for rot-inv and nn-sum belong to these inputs.
+    // The counts that Woodward et al. (arXiv:2110.13311) report for rot-inv and nn-sum belong to these inputs.
     assert_eq!(Network::new(5, 5, 1).unwrap().parameter_count(), 66);
     assert_eq!(Network::new(12, 5, 3).unwrap().parameter_count(), 113);
 }

@@ -1,4 +1,5 @@
-//! The paper's evidence from nothing: truths, trainings, evaluations, resumable after a kill.
+//! The evidence of Woodward et al. (arXiv:2110.13311, "the paper") from nothing: truths, trainings, evaluations,
+//! resumable after a kill.
 
 use super::{Lesson, Progress, Training, TrainingReport, write, write_evaluation};
 use crate::error::{Error, Result};

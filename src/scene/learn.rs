@@ -127,7 +127,7 @@ pub struct Increments {
 }
 
 impl Default for Increments {
-    /// The paper's: the last time, 200 nodes.
+    /// As Woodward et al. (arXiv:2110.13311): the last time, 200 nodes.
     fn default() -> Self {
         Self { times: Times::Last, nodes: 200 }
     }

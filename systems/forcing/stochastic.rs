@@ -21,7 +21,7 @@ pub struct StochasticForcing {
     /// Time after which the phases are drawn anew: not per step, so that the injected power does
     /// not depend on `dt`.
     pub interval: f64,
-    /// Factor on the paper's amplitudes.
+    /// Factor on the amplitudes of Woodward et al. (arXiv:2110.13311), appendix A.3.
     pub strength: f64,
     modes: Vec<Mode>,
     drawn: Option<u64>,

@@ -43,7 +43,7 @@ macro_rules! in_2d_and_3d {
 pub(crate) use in_2d_and_3d;
 
 /// The shipped scene of a dimension with `per_side` particles along each axis, as many neighbours
-/// as the paper's, the default step, no forcing and nothing to learn.
+/// as in Woodward et al. (arXiv:2110.13311), the default step, no forcing and nothing to learn.
 pub(crate) fn scene<const D: usize>(per_side: usize) -> Scene {
     let mut scene = Scene::shipped(if D == 2 { "inverse-2d" } else { "inverse-3d" }).unwrap();
     let spacing = scene.fluid.box_length / per_side as f64;

@@ -24,7 +24,8 @@ struct Setting<const D: usize> {
 }
 
 impl<const D: usize> Setting<D> {
-    /// Ten steps of 4096 particles, with as many neighbours as the paper's; few for a quick run.
+    /// Ten steps of 4096 particles, with as many neighbours as in Woodward et al.
+    /// (arXiv:2110.13311); few for a quick run.
     fn new(quick: bool) -> Self {
         let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
         let side = match (D, quick) {

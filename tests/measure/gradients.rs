@@ -98,7 +98,7 @@ impl Contestant {
         Self { scene, kind, learned, columns }
     }
 
-    /// How many parameters the adjoint is the gradient by: the paper learns four of physics.
+    /// How many parameters the adjoint is the gradient by: Woodward et al. (arXiv:2110.13311) learn four of physics.
     fn count(&self) -> usize {
         if self.kind == "physics" { 4 } else { self.learned.len() }
     }

@@ -9,7 +9,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 /// Each component of each particle from a normal distribution of width `initial.velocity`, by itself:
-/// a start without any scale, whose spectrum is that of white noise (Woodward et al. 2022,
+/// a start without any scale, whose spectrum is that of white noise (Woodward et al. 2021,
 /// arXiv:2110.13311).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
