@@ -1,11 +1,17 @@
 #![doc = include_str!("../README.md")]
 
+#[cfg(feature = "laboratory")]
 pub mod arrays;
 pub mod cells;
 pub mod chunk;
 pub mod draft;
 pub mod error;
+#[cfg(feature = "laboratory")]
 pub mod evaluation;
+#[cfg_attr(
+    not(feature = "laboratory"),
+    allow(dead_code, reason = "readers of recordings and arrays use it")
+)]
 mod files;
 pub mod flow;
 pub mod forcing;
@@ -17,12 +23,20 @@ pub mod models;
 pub mod near;
 pub mod network;
 pub mod optimisers;
+#[cfg(feature = "recording")]
 pub mod output;
 pub mod packed;
 pub mod pairs;
 pub mod parameters;
+#[cfg(feature = "recording")]
+#[cfg_attr(
+    not(feature = "laboratory"),
+    allow(dead_code, unused_imports, reason = "the commands use it")
+)]
 pub mod recording;
+#[cfg(feature = "laboratory")]
 pub mod report;
+#[cfg(feature = "laboratory")]
 pub mod run;
 pub mod scalar;
 pub mod scene;
@@ -32,6 +46,7 @@ pub mod state;
 pub mod statistics;
 #[path = "../systems/mod.rs"]
 pub mod systems;
+#[cfg(feature = "laboratory")]
 pub mod trade;
 pub mod truth;
 pub mod vector;

@@ -24,7 +24,7 @@ impl Parameter {
     pub const GAMMA: Self = Self::named("gamma");
     /// Power `θ` of the deterministic forcing.
     pub const THETA: Self = Self::named("theta");
-    /// The five parameters that Woodward et al. (2021) learn.
+    /// The five parameters that Woodward et al. (arXiv:2110.13311) learn.
     pub const PHYSICAL: [Self; 5] = [Self::C, Self::ALPHA, Self::BETA, Self::GAMMA, Self::THETA];
 
     /// A name known at compile time.

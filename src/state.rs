@@ -1,4 +1,6 @@
 //! The equation of state, Eq. (20).
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use crate::scalar::{Lanes, Scalar, WIDTH};
 

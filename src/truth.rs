@@ -1,4 +1,6 @@
 //! Truths: the observed flows that a model learns from.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use crate::cells::Cells;
 use crate::error::{Error, Result};

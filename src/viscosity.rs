@@ -1,4 +1,6 @@
 //! Monaghan's artificial viscosity, Eq. (21).
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use crate::pairs::Pair;
 use crate::scalar::Scalar;

@@ -8,7 +8,7 @@
 
 use crate::scalar::Lanes;
 use crate::vector::Vector;
-use rustfft::num_complex::Complex;
+use num_complex::Complex;
 
 /// Component of a wave vector, maximum.
 pub const LONGEST: usize = 64;

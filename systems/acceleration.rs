@@ -1,4 +1,6 @@
 //! The pair forces, Eqs. (2) to (7), with their tangent and their pullback.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::near::Pairs;
 use super::neighbours::Neighbours;

@@ -1,4 +1,6 @@
 //! Density by summation, Eq. (17), with its tangent and its pullback.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::acceleration::{Laws, PairTerm, WINDOW};
 use super::density_tangent::{

@@ -35,6 +35,8 @@
 //! flow.step()?;
 //! # Ok::<(), whirls::Error>(())
 //! ```
+//!
+//! Equation numbers and appendices are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 pub mod acceleration;
 pub mod columns;

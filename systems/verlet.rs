@@ -1,4 +1,6 @@
 //! The step in time, appendix A.4: kicks and drifts, with their tangents.
+//!
+//! Appendices are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, Identity, Position,

@@ -2,37 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
-#![allow(unsafe_code, reason = "an allocator that counts has no other way")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicIsize, Ordering};
+#[path = "common/counting.rs"]
+mod counting;
+
+use counting::ALLOCATED;
+use std::sync::atomic::Ordering;
 use whirls::learn::Learner;
 use whirls::sensitivity::Gradient;
 use whirls::truth::Truth;
 use whirls::{Flow, Scene};
-
-/// The system's allocator, which also counts the bytes currently allocated.
-struct Counting;
-
-static ALLOCATED: AtomicIsize = AtomicIsize::new(0);
-
-// SAFETY: every call is forwarded unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATED.fetch_add(layout.size() as isize, Ordering::Relaxed);
-        // SAFETY: the caller guarantees what is required here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        ALLOCATED.fetch_sub(layout.size() as isize, Ordering::Relaxed);
-        // SAFETY: the caller guarantees what is required here.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// Bytes that a flow leaves allocated, and bytes that it reports.
 type Bytes = [f64; 2];

@@ -1,4 +1,5 @@
-//! The order of each kind of step, with viscosity and forcing: slopes, not values.
+//! The order of each kind of step, with viscosity and forcing: slopes, not values. The paper's step
+//! is that of Woodward et al. (arXiv:2110.13311), appendix A.4.
 //!
 //! The flow is a slow smooth motion on a lattice, so that few pairs change from approaching to
 //! receding during the test. At such a change the viscosity has a kink. It does not lower the order

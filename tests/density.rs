@@ -12,7 +12,7 @@ use whirls::Scene;
 use whirls::flow::State;
 use whirls::vector::Vector;
 
-/// A lattice of the size of the published flows.
+/// A lattice of the size of the flows of Woodward et al. (arXiv:2110.13311).
 fn scene<const D: usize>(h: f64) -> Scene {
     let mut scene = common::scene::<D>(if D == 2 { 32 } else { 16 });
     scene.fluid.smoothing_length = h;

@@ -376,8 +376,8 @@ fn the_papers_sizes_of_networks_are_the_defaults() {
         scene.learn.as_mut().unwrap().model = model;
         Flow::<3>::build(&scene, &common::shaken(&scene), None, None).unwrap().weights().len()
     };
-    // With the features listed in `models/`; the paper counts 66 and 113 for rot-inv and nn-sum,
-    // because their published code has five and twelve inputs.
+    // With the features listed in `models/`; Woodward et al. (arXiv:2110.13311) count 66 and 113
+    // for rot-inv and nn-sum, because their published code has five and twelve inputs.
     let found = ["physics", "eos-nn", "grad-p", "rot-inv", "nn-sum", "node"].map(weights);
     assert_eq!(found, [0, 141, 56, 61, 83, 653]);
 }

@@ -6,7 +6,6 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use std::time::Instant;
 use whirls::losses::{Density1d, IncrementDensities, increment_loss, sampling_floor};
 use whirls::vector::Vector;
 
@@ -286,25 +285,4 @@ fn bits_do_not_depend_on_the_number_of_threads() {
         pool.install(|| increment_loss(&truth, &predicted, NODES).unwrap())
     };
     assert_eq!(with(1), with(3));
-}
-
-/// `cargo test --release --test increments -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement, not a promise"]
-fn milliseconds_per_component() {
-    let (truth, predicted) = (normal(60, 4096, 0.0, 1.0), normal(61, 4096, 0.3, 1.2));
-    let density = Density1d::new(&truth, NODES).unwrap();
-    let mut best = [f64::INFINITY; 2];
-    for _ in 0..50 {
-        let start = Instant::now();
-        std::hint::black_box(density.log_density_of(&predicted).unwrap());
-        best[0] = best[0].min(start.elapsed().as_secs_f64());
-        let start = Instant::now();
-        std::hint::black_box(density.loss(&predicted).unwrap());
-        best[1] = best[1].min(start.elapsed().as_secs_f64());
-    }
-    println!(
-        "4096 samples, 200 nodes: density {:.3e} s, loss and gradient {:.3e} s",
-        best[0], best[1]
-    );
 }

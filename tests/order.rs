@@ -169,7 +169,8 @@ fn nothing_is_scheduled_that_a_scene_does_not_need() {
     }
 }
 
-/// The systems of shipped scenes when they simulate and when they learn: the paper's step, forced.
+/// The systems of shipped scenes when they simulate and when they learn: the step of Woodward et
+/// al. (arXiv:2110.13311), forced.
 const SIMULATE: &[&str] = &[
     "packing::pack_velocities",
     "acceleration::accelerate",

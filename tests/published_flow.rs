@@ -1,8 +1,10 @@
-//! The engine against a flow that was computed and published by other authors: imported, stepped,
-//! learned from.
+//! The engine against a flow that was computed and published by other authors, the 2D flow of
+//! Woodward et al. (arXiv:2110.13311): imported, stepped, learned from.
 //!
-//! The arrays are not part of this project. If their folder is missing, the tests are skipped, and
-//! report it.
+//! The arrays are not part of this project: their repository names no licence. They are read from
+//! `../shared/data/woodward-2d` next to the repository, or from the folder `WHIRLS_PUBLISHED_FLOW`.
+//! If it is missing, the tests report that they are skipped; with `CI=true` they fail. Every clone
+//! can run `tests/reference_flows.rs` instead.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -10,7 +12,7 @@
 mod common;
 
 use common::{farthest, farthest_image, largest, space, started};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 use whirls::Scene;
 use whirls::flow::State;
@@ -33,8 +35,10 @@ fn scene() -> Scene {
 
 /// The published frames, through the `import` command; `None` if they are missing.
 fn published() -> Option<Truth<2>> {
-    let folder = Path::new("../shared/data/woodward-2d");
+    let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/woodward-2d");
+    let folder = std::env::var_os("WHIRLS_PUBLISHED_FLOW").map_or_else(beside, PathBuf::from);
     if !folder.is_dir() {
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no flow in {}", folder.display());
         println!("skipped: there is no {}", folder.display());
         return None;
     }

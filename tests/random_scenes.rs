@@ -2,10 +2,13 @@
 //! returns a meaningless number.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
+#![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
 mod common;
 
 use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+use std::cell::Cell;
 use whirls::flow::State;
 use whirls::forcing::Power;
 use whirls::scene::{Forcing, KernelName};
@@ -59,13 +62,14 @@ fn scene(dimension: usize) -> impl Strategy<Value = Scene> {
     )
 }
 
-fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<(), TestCaseError> {
+/// Whether a scene ran; otherwise it has said why not.
+fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<bool, TestCaseError> {
     let text = scene.to_toml();
     let read = match Scene::parse(&text, "random", &[]) {
         Ok(read) => read,
         Err(error) => {
             prop_assert_eq!(error.exit_code(), 2);
-            return Ok(());
+            return Ok(false);
         }
     };
     prop_assert_eq!(&read, scene, "a scene survives being written out");
@@ -76,7 +80,7 @@ fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<(), TestCaseError> 
                 return Err(TestCaseError::fail(format!("{error}")));
             };
             prop_assert!(!quantity.is_empty() && !found.is_empty() && !remedy.is_empty());
-            return Ok(());
+            return Ok(false);
         }
         let State { positions, velocities, .. } = flow.state();
         let inside = |x: f64| (0.0..scene.fluid.box_length).contains(&x);
@@ -90,21 +94,35 @@ fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<(), TestCaseError> 
         let round_off = f64::EPSILON * mass * fluid.c * fluid.c / fluid.smoothing_length;
         prop_assert!(rates.pressure.norm() <= 1e-11 * rates.scale + round_off, "{:?}", rates);
     }
-    Ok(())
+    Ok(true)
+}
+
+/// Random scenes of a dimension: at least four of five run, so that no watch can pass by refusing everything.
+fn most_run_and_the_others_say_why<const D: usize>() {
+    let (ran, all) = (Cell::new(0), Cell::new(0));
+    let tried = TestRunner::new(common::random(150)).run(&scene(D), |scene| {
+        let runs = runs_or_says_why::<D>(&scene)?;
+        ran.set(ran.get() + u32::from(runs));
+        all.set(all.get() + 1);
+        Ok(())
+    });
+    tried.unwrap();
+    println!("{D}D: {} of {} random scenes ran", ran.get(), all.get());
+    assert!(5 * ran.get() >= 4 * all.get(), "{} of {} ran", ran.get(), all.get());
+}
+
+#[test]
+fn four_of_five_random_2d_scenes_run_and_the_others_say_why() {
+    most_run_and_the_others_say_why::<2>();
+}
+
+#[test]
+fn four_of_five_random_3d_scenes_run_and_the_others_say_why() {
+    most_run_and_the_others_say_why::<3>();
 }
 
 proptest! {
     #![proptest_config(common::random(150))]
-
-    #[test]
-    fn any_2d_scene_runs_or_says_why(scene in scene(2)) {
-        runs_or_says_why::<2>(&scene)?;
-    }
-
-    #[test]
-    fn any_3d_scene_runs_or_says_why(scene in scene(3)) {
-        runs_or_says_why::<3>(&scene)?;
-    }
 
     #[test]
     fn any_text_is_a_scene_or_is_refused(text in "\\PC{0,200}", key in "[a-z_.]{0,20}=\\PC{0,20}") {

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use whirls::recording::{
-    Cloud, Column, Conservation, Flow, Frame, Level, Recorder, Recording, RunInfo, TrainStep,
-    Values, recover,
+    Cloud, Column, Flow, Frame, Level, Recorder, Recording, RunInfo, TrainStep, Values, recover,
 };
+use whirls::statistics::Conservation;
 use whirls::{Error, Result};
 
 /// Values that a careless writer would change.

@@ -350,7 +350,7 @@ fn columns_of_a_gradient(
     held.extend(columns_of_an_adjoint(scene, in_the_force));
     let all = learn.frames as f64 * found.part("tape, a step").unwrap();
     held.push(exactly("tape", &format!("{} steps", learn.frames), all));
-    // The paper's step evaluates forces twice.
+    // The step of Woodward et al. (arXiv:2110.13311) evaluates forces twice.
     let [least, most] = lists(scene);
     let lists = "lists of each evaluation".to_owned();
     let masks = lists_of(scene, 0.125).0;

@@ -2,34 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
-#![allow(unsafe_code, reason = "an allocator that counts has no other way")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "common/counting.rs"]
+mod counting;
+
+use counting::ASKED;
+use std::sync::atomic::Ordering;
 use whirls::systems::neighbours::Neighbours;
 use whirls::{Flow, Scene};
-
-/// The system's allocator, which also counts allocations.
-struct Counting;
-
-static ASKED: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call is forwarded unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ASKED.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller guarantees what is required here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: the caller guarantees what is required here.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// Number of allocations in 40 steps of a developed flow, and number of rebuilds of the lists.
 fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
@@ -52,16 +32,19 @@ fn asked<const D: usize>(name: &str, more: &[&str]) -> (usize, u64) {
     found
 }
 
-/// One test, so that no other test allocates at the same time.
+/// One test, because allocations of another test at the same time would be counted, too.
 #[test]
 fn a_flow_that_has_found_its_memory_allocates_nothing_in_a_step() {
     let mixed = "precision='mixed'";
+    let ou = "forcing={kind='ornstein-uhlenbeck',power=0.1,correlation_time=0.5,band=2.5}";
     let step = "time.step='kick-drift-kick'";
     for (asked, builds) in [
         asked::<2>("inverse-2d", &[]),
         asked::<3>("inverse-3d", &[]),
         asked::<3>("inverse-3d", &[step, mixed]),
         asked::<3>("inverse-3d", &["forcing={kind='none'}"]),
+        asked::<3>("inverse-3d", &["forcing={kind='stochastic',interval=0.05,strength=1.0}"]),
+        asked::<2>("inverse-2d", &[ou]),
     ] {
         assert!(builds > 4, "the lists were built anew");
         assert_eq!(asked, 0);

@@ -16,8 +16,9 @@ use proptest::prelude::*;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use whirls::Scene;
-use whirls::recording::{Conservation, Flow, Frame, Level, Recorder, RunInfo, TrainStep, Values};
+use whirls::recording::{Flow, Frame, Level, Recorder, RunInfo, TrainStep, Values};
 use whirls::scene::{SHIPPED, SpinUp};
+use whirls::statistics::Conservation;
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
@@ -184,17 +185,20 @@ fn small(mut scene: Scene) -> Scene {
     scene
 }
 
-/// The corpus of `tests/fuzz`; `cargo test --release --test untrusted_files -- --ignored` writes
-/// it.
+/// The corpus of `tests/fuzz`, in the folder that `WHIRLS_FUZZ_CORPUS` names.
 #[test]
-#[ignore = "writes the seeds of the fuzz targets"]
-fn seeds_of_the_fuzz_targets() {
+fn the_seeds_of_the_fuzz_targets_are_whole_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let corpus = std::env::var_os("WHIRLS_FUZZ_CORPUS");
+    let corpus = corpus.map_or_else(|| folder.path().to_owned(), std::path::PathBuf::from);
     for (kind, files) in [("scene", scenes()), ("npy", arrays()), ("recording", recordings())] {
-        let folder = Path::new("tests/fuzz/corpus").join(kind);
+        let folder = corpus.join(kind);
         std::fs::create_dir_all(&folder).unwrap();
         for (k, bytes) in files.iter().enumerate() {
             std::fs::write(folder.join(k.to_string()), bytes).unwrap();
+            assert!(!bytes.is_empty());
         }
+        assert!(std::fs::read_dir(&folder).unwrap().count() >= files.len());
     }
 }
 

@@ -1,4 +1,4 @@
-//! `reproduce`: the paper's evidence from nothing.
+//! `reproduce`: the evidence of Woodward et al. (arXiv:2110.13311) from nothing.
 
 mod common;
 #[path = "common/meter.rs"]
@@ -16,7 +16,7 @@ use whirls::run::{Guard, Reproduction, Stage};
 use whirls::{Result, interrupt};
 
 /// Trains the six models of the hierarchy on three flows, evaluates them, and prints what they are worth
-/// beside the paper's numbers. Killed and started again, it goes on where it was.
+/// beside the numbers of Woodward et al. (arXiv:2110.13311). Killed and started again, it goes on where it was.
 #[derive(Parser)]
 #[command(name = "reproduce", version)]
 struct Arguments {

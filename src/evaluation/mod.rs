@@ -50,8 +50,9 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// For one eddy time of the paper's flow: 200 steps, three realisations, `θ` from 0.1 to 1.6, a
-    /// quarter to three times the Mach number. `trained` is the horizon of the training.
+    /// For one eddy time of the flow of Woodward et al. (arXiv:2110.13311): 200 steps, three
+    /// realisations, `θ` from 0.1 to 1.6, a quarter to three times the Mach number. `trained` is the
+    /// horizon of the training.
     pub fn new(trained: usize) -> Self {
         Self {
             marks: Marks { steps: 200, every: 5 },
@@ -74,7 +75,7 @@ impl Plan {
     }
 
     /// The fifteen horizons, from the training's to the last step, over which medians are taken:
-    /// the same number as in the paper's Fig. 5.
+    /// the same number as in Fig. 5 of that paper.
     pub fn fifteen(&self) -> Vec<usize> {
         let (first, last) = (self.horizons[0] as f64, self.marks.steps as f64);
         let at = |k: i32| first + (last - first) * f64::from(k) / 14.0;

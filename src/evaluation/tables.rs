@@ -1,12 +1,13 @@
-//! An [`Evaluation`] as a report, and its tables.
+//! An [`Evaluation`] as a report, and its tables. "The paper" is Woodward et al., arXiv:2110.13311: see
+//! `docs/equations.md`.
 
 use super::{Candidate, Circumstance, Distance, Errors, Evaluation, Plan, Spread, Symmetry, Trial};
 use crate::report::{Cell, Report, Role, Row, Table};
 use serde::Serialize;
 
-/// Published results of the paper's models (medians read off its Fig. 5): field loss over time
-/// scales, and over forcing strengths. The models were trained by the field loss, in three
-/// dimensions.
+/// Published results of the models of Woodward et al. (arXiv:2110.13311), medians read off their
+/// Fig. 5: field loss over time scales, and over forcing strengths. These models were trained by
+/// the field loss, in three dimensions.
 const PUBLISHED: [(&str, f64, f64); 6] = [
     ("node", 0.10, 0.021),
     ("nn-sum", 0.125, 0.015),

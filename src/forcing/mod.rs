@@ -1,5 +1,7 @@
 //! Forcing: deterministic energy injection and stochastic large-scale modes, appendix A.3, and the
 //! stochastic forcing with a correlation time of Eswaran & Pope, [`ornstein_uhlenbeck`].
+//!
+//! Appendices are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 pub mod ornstein_uhlenbeck;
 
@@ -245,13 +247,24 @@ impl Mode {
 /// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`. Phases (and directions in 3D) depend on the `seed`
 /// and on the number `interval` of the interval of time, not on the time step.
 pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64) -> Vec<Mode> {
+    let mut modes = Vec::new();
+    draw_stochastic_modes((dimension, length), (seed, interval), &mut modes);
+    modes
+}
+
+/// [`stochastic_modes`] in place of others, in their memory.
+pub(crate) fn draw_stochastic_modes(
+    (dimension, length): (usize, f64),
+    (seed, interval): (u64, u64),
+    modes: &mut Vec<Mode>,
+) {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
     generator.set_stream(interval);
     let depth: &[i32] = if dimension == 3 { &[-2, -1, 0, 1, 2] } else { &[0] };
     let plane = (-2..=2).flat_map(|x| (-2..=2).map(move |y| [x, y]));
     let lattice = plane.flat_map(|[x, y]| depth.iter().map(move |&z| [x, y, z]));
     let positive = |n: &[i32; 3]| n.iter().rev().find(|&&x| x != 0).is_some_and(|&x| x > 0);
-    let mut modes = Vec::new();
+    modes.clear();
     for n in lattice.filter(positive) {
         let n = n.map(f64::from);
         let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
@@ -266,7 +279,6 @@ pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64)
             });
         }
     }
-    modes
 }
 
 /// A vector of length `|n|` perpendicular to `n`: `(−n_y, n_x)` in 2D, rotated by `angle` around

@@ -1,4 +1,6 @@
 //! Kernels evaluated by their formula.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::Kernel;
 use crate::scalar::Scalar;

@@ -16,6 +16,8 @@
 //! [`Transform`] of a kernel tells whether particles pair up. Normalisation, moments and
 //! derivatives are tested in `tests/kernels.rs`, and those of learnable shapes in
 //! `tests/kernel_tables.rs`.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 mod any;
 mod choice;

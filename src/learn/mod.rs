@@ -1,4 +1,6 @@
 //! Algorithm 1: predict, differentiate, compare, update.
+//!
+//! The algorithm is that of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 mod diagnosis;
 mod first_order;

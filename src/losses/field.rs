@@ -1,4 +1,6 @@
 //! The field loss `L_f`: the smoothed velocity field on a mesh, compared with the truth's.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::StateAdjoint;
 use super::lattice::{Lattice, Meet, load_at, store_at};
@@ -6,7 +8,7 @@ use super::mesh::Mesh;
 use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
-use crate::scalar::{Pass, Precision, Wide, dispatch_by_kernel};
+use crate::scalar::{Pass, Wide, dispatch_doubles_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -95,7 +97,7 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
                 columns: &mut columns,
             };
             let is_table = self.points.smoothing.is_table();
-            dispatch_by_kernel(is_table, Precision::Double, pass);
+            dispatch_doubles_by_kernel(is_table, pass);
         }
         columns
     }
@@ -242,7 +244,7 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
         let into = (position, velocity, density);
         let pass = TakePass { points, lattice: &lattice, nodes, particles, into };
         let is_table = points.smoothing.is_table();
-        dispatch_by_kernel(is_table, Precision::Double, pass);
+        dispatch_doubles_by_kernel(is_table, pass);
     });
     adjoint
 }

@@ -7,7 +7,7 @@ use super::mesh::Mesh;
 use crate::kernel::Kernel;
 use crate::packed::{Packed, PackedSensitivity, PackedSingle};
 use crate::pairs::{Draft, Eight, pick};
-use crate::scalar::{Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_by_kernel, transposed};
+use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_doubles_by_kernel, transposed};
 use crate::vector::Vector;
 use rayon::prelude::*;
 
@@ -297,7 +297,7 @@ pub fn field_loss<K: Kernel, const D: usize>(
     let part = |(chunk, truth): (usize, &[Vector<f64, D>])| {
         let first = chunk * CHUNK;
         let pass = LossPass { search, mesh, blocks, direct, first, truth, weight };
-        dispatch_by_kernel(points.smoothing.is_table(), Precision::Double, pass)
+        dispatch_doubles_by_kernel(points.smoothing.is_table(), pass)
     };
     let parts: Vec<SquareSum> = truth.par_chunks(CHUNK).enumerate().map(part).collect();
     parts.iter().for_each(|part| sum.merge(part));

@@ -133,7 +133,7 @@ impl Nodes {
 }
 
 impl Density1d {
-    /// The density of `truth` on `nodes` nodes; the paper uses 200.
+    /// The density of `truth` on `nodes` nodes; Woodward et al. (arXiv:2110.13311) use 200.
     ///
     /// # Errors
     /// [`Error::Input`] for no sample, one that is not finite, or fewer than 16 nodes.

@@ -1,4 +1,6 @@
 //! A learned equation of state, Eq. (6).
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::scales::Units;
 use super::{

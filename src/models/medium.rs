@@ -1,4 +1,6 @@
 //! The fluid: mass, kernel and constants of every model, and the pair force of Eq. (7).
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::{CentralSlope, PairCotangent};
 use crate::kernel::{AnyKernel, Kernel, KernelChoice, Smoothing};

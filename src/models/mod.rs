@@ -29,6 +29,8 @@
 //! numbers differentiate. [`crate::scene::Scene::add_pair_law`] adds it to a scene, and its
 //! parameters are learned like any other. A law that needs a network, or the last bit of speed,
 //! implements [`Constitutive`] and [`PairLaw`], as the models of this folder do.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 mod central;
 mod laminar;

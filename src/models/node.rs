@@ -1,4 +1,6 @@
 //! A neural ODE, Eq. (2): one network evaluated on a particle's nearest neighbours.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::scales::Units;
 use super::{

@@ -1,4 +1,6 @@
 //! The fully physics-informed model, Eq. (7): standard smoothed particle hydrodynamics.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::{CentralSlope, Constitutive, FluidConstants, Medium, PairCotangent, PairLaw, Room};
 use crate::network::exp;

@@ -1,4 +1,6 @@
 //! A learned coefficient of central forces, Eq. (4): invariant under rotations.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::physics::{tait_stress, tait_stress_slope};
 use super::scales::Units;

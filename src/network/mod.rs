@@ -19,7 +19,8 @@ use rand_chacha::ChaCha8Rng;
 pub const MOST_PARAMETERS: usize = 10_000_000;
 
 /// The shape of a perceptron with two hidden layers of `height` units each:
-/// `y¹ = tanh(W¹x + b¹)`, `y² = tanh(W²y¹ + b²)`, `out = W³y² + b³` (section 4.1 of the paper).
+/// `y¹ = tanh(W¹x + b¹)`, `y² = tanh(W²y¹ + b²)`, `out = W³y² + b³` (section 4.1 of
+/// Woodward et al., arXiv:2110.13311).
 ///
 /// Its parameters are one slice, layer by layer: `W¹ [height × inputs]`, `b¹ [height]`,
 /// `W² [height × height]`, `b² [height]`, `W³ [outputs × height]`, `b³ [outputs]`. Row `j` of a

@@ -2,9 +2,7 @@
 
 use super::*;
 use crate::scalar::{Dual, Lanes, WIDTH};
-use pulp::{Arch, NullaryFnOnce};
 use rand::SeedableRng;
-use std::time::Instant;
 
 /// The shapes of the hierarchy, and one with all sizes different.
 const SHAPES: [(usize, usize, usize); 6] =
@@ -53,7 +51,8 @@ fn dual(case: &Case, lane: usize, index: usize) -> Vec<f64> {
 fn a_network_has_as_many_parameters_as_its_layers_hold() {
     let counts = SHAPES.map(|(i, l, o)| Network::new(i, l, o).unwrap().parameter_count());
     assert_eq!(counts, [56, 61, 83, 141, 653, 109]);
-    // The counts in the paper's runs for rot-inv and nn-sum correspond to these inputs.
+    // The counts in Woodward et al. (arXiv:2110.13311) for rot-inv and nn-sum correspond to these
+    // inputs.
     assert_eq!(Network::new(5, 5, 1).unwrap().parameter_count(), 66);
     assert_eq!(Network::new(12, 5, 3).unwrap().parameter_count(), 113);
 }
@@ -195,70 +194,5 @@ fn huge_weights_saturate_and_stay_finite() {
         let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
         network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
         assert!(by_input.iter().all(finite) && by_parameter.iter().all(finite));
-    }
-}
-
-/// One of the frequent calls, repeated many times, with the widest instructions.
-struct Work<'a> {
-    case: &'a mut Case,
-    kind: &'static str,
-    rounds: usize,
-}
-
-impl NullaryFnOnce for Work<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn call(self) -> f64 {
-        let Case { network, parameters, input, workspace } = self.case;
-        let mut by_input = vec![Lanes::ZERO; network.inputs()];
-        let mut by_parameter = vec![Lanes::ZERO; network.parameter_count()];
-        let mut jacobian = vec![Lanes::ZERO; network.inputs() * network.outputs()];
-        let cotangent = vec![Lanes::of(1.0); network.outputs()];
-        let mut sum = 0.0;
-        for _ in 0..self.rounds {
-            let input = std::hint::black_box(&*input);
-            sum += network.value::<Lanes>(parameters, input, workspace)[0].to_array()[0];
-            match self.kind {
-                "pullback" => {
-                    let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-                    network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
-                }
-                "jacobian" => network.jacobian::<Lanes>(parameters, workspace, &mut jacobian),
-                "parameters" => {
-                    network.parameter_gradient::<Lanes>(
-                        parameters,
-                        0,
-                        workspace,
-                        &mut by_parameter,
-                    );
-                }
-                "tanh" => sum += tanh(input[0]).to_array()[0],
-                _ => {}
-            }
-            std::hint::black_box((&by_input, &by_parameter, &jacobian));
-        }
-        sum
-    }
-}
-
-/// `cargo test --release --lib network -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement, not a promise"]
-fn nanoseconds_per_pair() {
-    for mut case in cases() {
-        let shape = case.network;
-        for kind in ["value", "pullback", "jacobian", "parameters"] {
-            let rounds = 2_000_000 / shape.parameter_count();
-            let mut best = f64::INFINITY;
-            for _ in 0..7 {
-                let start = Instant::now();
-                let work = Work { case: &mut case, kind, rounds };
-                std::hint::black_box(Arch::new().dispatch(work));
-                best = best.min(start.elapsed().as_secs_f64());
-            }
-            let nanoseconds = best * 1e9 / (rounds * WIDTH) as f64;
-            println!("{shape:?} value and {kind}: {nanoseconds:.2} ns per pair");
-        }
     }
 }

@@ -267,14 +267,9 @@ pub(super) fn log10(value: f64, floor: f64) -> f64 {
     if value.is_nan() { value } else { value.abs().log10().max(floor) }
 }
 
-/// `whirls.Conservation`: conserved quantities of a flow at one step (topic `/diag/conservation`).
-///
-/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one
-/// per system that accelerates them: round-off if that system conserves momentum. They need
-/// additional force evaluations, and are empty at steps where they are not requested
-/// (`record.momentum_every`).
+/// `whirls.Conservation`: [`crate::statistics::Conservation`], field by field (topic `/diag/conservation`).
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Conservation {
+pub(super) struct Conservation {
     /// The step, from 0.
     #[prost(uint64, tag = "1")]
     pub step: u64,
@@ -315,6 +310,41 @@ pub struct Conservation {
     #[prost(double, repeated, tag = "13")]
     pub momentum_terms: Vec<f64>,
 }
+
+/// The message of a value with the same fields, and back.
+macro_rules! same_fields {
+    ($message:ident, $value:path, $($field:ident),*) => {
+        impl From<$value> for $message {
+            fn from(value: $value) -> Self {
+                Self { $($field: value.$field),* }
+            }
+        }
+
+        impl From<$message> for $value {
+            fn from(message: $message) -> Self {
+                Self { $($field: message.$field),* }
+            }
+        }
+    };
+}
+
+same_fields!(
+    Conservation,
+    crate::statistics::Conservation,
+    step,
+    time,
+    kinetic_energy,
+    total_energy,
+    max_mach,
+    max_density_deviation,
+    momentum,
+    momentum_pressure,
+    momentum_viscosity,
+    momentum_forcing,
+    courant,
+    terms,
+    momentum_terms
+);
 
 /// `whirls.Values`: named numbers at one step, such as the errors of several models (on any other
 /// topic).

@@ -48,7 +48,7 @@ pub(crate) use cloud::Numbered;
 pub use cloud::{Cloud, Column, Frame};
 pub use colour::colour;
 pub use foreign::Clouds;
-pub use messages::{Conservation, Level, TrainStep, Values};
+pub use messages::{Level, TrainStep, Values};
 pub use reader::{LogLine, Recording};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};

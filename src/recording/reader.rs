@@ -6,10 +6,11 @@ use std::path::Path;
 use prost::Message;
 
 use super::cloud::{Decoded, Numbered};
-use super::messages::{Conservation, Level, Log, Scene, TrainStep, Values};
+use super::messages::{self, Level, Log, Scene, TrainStep, Values};
 use super::schemas::Schema;
 use super::source::Source;
 use super::{Cloud, DAMAGED, Flow, Frame, RunInfo, clock, topic};
+use crate::statistics::Conservation;
 use crate::{Error, Result};
 
 /// A recording, opened for reading.
@@ -148,7 +149,9 @@ impl Recording {
     /// # Errors
     /// [`Error::Input`] if one is damaged.
     pub fn conservation(&self) -> Result<Vec<Conservation>> {
-        decode_all(&self.source, topic::CONSERVATION, &self.place)
+        let kept =
+            decode_all::<messages::Conservation>(&self.source, topic::CONSERVATION, &self.place)?;
+        Ok(kept.into_iter().map(Conservation::from).collect())
     }
 
     /// The log.

@@ -5,12 +5,13 @@ use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 
 use super::colour::Palette;
-use super::messages::{Conservation, Level, Log, TrainStep, Values};
+use super::messages::{Level, Log, TrainStep, Values};
 use super::orders::{Order, obey};
 use super::rows::{Particle, Title, write_row};
 use super::sink::Sink;
 use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
 use crate::output::Output;
+use crate::statistics::Conservation;
 use crate::{Error, Result};
 
 /// Length of the queue, in messages, beyond which the run waits for the disk.
@@ -213,7 +214,7 @@ impl Recorder {
     /// # Errors
     /// [`Error::File`] if writing has failed.
     pub fn conservation(&mut self, conservation: Conservation) -> Result<()> {
-        self.order(Order::Conservation(conservation))
+        self.order(Order::Conservation(conservation.into()))
     }
 
     /// Records named numbers on a topic of their own, such as `/errors/field`.

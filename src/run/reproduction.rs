@@ -1,5 +1,5 @@
-//! Reproduces the paper's results from scratch: truths, trainings, evaluations; can be resumed
-//! after a kill.
+//! Reproduces the results of Woodward et al. (arXiv:2110.13311, "the paper") from scratch: truths,
+//! trainings, evaluations; can be resumed after a kill.
 
 use super::{Lesson, Progress, Training, TrainingReport, write, write_evaluation};
 use crate::error::{Error, Result};

@@ -21,8 +21,8 @@ pub use sift::Window;
 pub use singles::Singles;
 pub use tabulated::Tabulated;
 pub use wide::{
-    Pass, Precision, Wide, dispatch, dispatch_by_kernel, dispatch_in, on_every_instruction_set,
-    transposed,
+    Pass, Precision, Wide, dispatch, dispatch_by_kernel, dispatch_doubles_by_kernel, dispatch_in,
+    on_every_instruction_set, transposed,
 };
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};

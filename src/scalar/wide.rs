@@ -177,7 +177,7 @@ pub trait Pass: Sized {
 /// Runs a pass in double precision, with the widest instructions of this machine.
 #[inline]
 pub fn dispatch<P: Pass>(pass: P) -> P::Output {
-    dispatch_in(Precision::Double, pass)
+    run_doubles(Arch::new(), pass)
 }
 
 /// Runs a pass in a given precision, with the widest instructions of this machine.
@@ -191,7 +191,18 @@ pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
 /// [`Scalar::TABLES`]. The result has the same bits.
 #[inline]
 pub fn dispatch_by_kernel<P: Pass>(is_table: bool, precision: Precision, pass: P) -> P::Output {
-    run_on(if is_table { Arch::Scalar } else { Arch::new() }, precision, pass)
+    run_on(arch_for(is_table), precision, pass)
+}
+
+/// As [`dispatch_by_kernel`], in doubles: a pass that is never run in singles is not compiled for them.
+#[inline]
+pub fn dispatch_doubles_by_kernel<P: Pass>(is_table: bool, pass: P) -> P::Output {
+    run_doubles(arch_for(is_table), pass)
+}
+
+/// The instruction set whose registers have room for the tables of a kernel, or the widest.
+fn arch_for(is_table: bool) -> Arch {
+    if is_table { Arch::Scalar } else { Arch::new() }
 }
 
 /// Runs a pass with every instruction set of this machine, the portable one first, so that tests
@@ -222,27 +233,37 @@ pub fn on_every_instruction_set<P: Pass + Clone>(
 
 #[inline]
 fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
+    match precision {
+        Precision::Double => run_doubles(arch, pass),
+        Precision::Mixed => run_singles(arch, pass),
+    }
+}
+
+#[inline]
+fn run_doubles<P: Pass>(arch: Arch, pass: P) -> P::Output {
     match arch {
         #[cfg(target_arch = "x86_64")]
-        Arch::V4(simd) => match precision {
-            Precision::Double => simd.vectorize(On::<super::x86::Lanes512, P>::new(pass)),
-            Precision::Mixed => simd.vectorize(On::<super::x86::SinglesOn512, P>::new(pass)),
-        },
+        Arch::V4(simd) => simd.vectorize(On::<super::x86::Lanes512, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        Arch::V3(simd) => match precision {
-            Precision::Double => simd.vectorize(On::<super::x86::Lanes256, P>::new(pass)),
-            Precision::Mixed => simd.vectorize(On::<super::x86::SinglesOn256, P>::new(pass)),
-        },
+        Arch::V3(simd) => simd.vectorize(On::<super::x86::Lanes256, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        _ => match precision {
-            Precision::Double => pass.run::<super::x86::Lanes128>(),
-            Precision::Mixed => pass.run::<super::x86::Singles128>(),
-        },
+        _ => pass.run::<super::x86::Lanes128>(),
         #[cfg(not(target_arch = "x86_64"))]
-        plain => match precision {
-            Precision::Double => plain.dispatch(On::<Lanes, P>::new(pass)),
-            Precision::Mixed => plain.dispatch(On::<super::Singles, P>::new(pass)),
-        },
+        plain => plain.dispatch(On::<Lanes, P>::new(pass)),
+    }
+}
+
+#[inline]
+fn run_singles<P: Pass>(arch: Arch, pass: P) -> P::Output {
+    match arch {
+        #[cfg(target_arch = "x86_64")]
+        Arch::V4(simd) => simd.vectorize(On::<super::x86::SinglesOn512, P>::new(pass)),
+        #[cfg(target_arch = "x86_64")]
+        Arch::V3(simd) => simd.vectorize(On::<super::x86::SinglesOn256, P>::new(pass)),
+        #[cfg(target_arch = "x86_64")]
+        _ => pass.run::<super::x86::Singles128>(),
+        #[cfg(not(target_arch = "x86_64"))]
+        plain => plain.dispatch(On::<super::Singles, P>::new(pass)),
     }
 }
 

@@ -1,4 +1,5 @@
-//! A requested accuracy, and the step that a calibration chose for it.
+//! A requested accuracy, and the step that a calibration chose for it. The paper is Woodward et
+//! al., arXiv:2110.13311, and its step [`Step::Paper`].
 
 use super::Scene;
 use crate::systems::verlet::Step;

@@ -128,7 +128,7 @@ pub struct Increments {
 }
 
 impl Default for Increments {
-    /// As in the paper: the last time, 200 nodes.
+    /// As in Woodward et al. (arXiv:2110.13311): the last time, 200 nodes.
     fn default() -> Self {
         Self { times: Times::Last, nodes: 200 }
     }

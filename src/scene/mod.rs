@@ -3,6 +3,8 @@
 //! A misspelt key, a wrong type or an impossible number is refused with file, line, what was
 //! expected and what to do. The shipped scenes are compiled in; [`Scene::shipped`] finds them by
 //! name.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 mod accuracy;
 mod check;

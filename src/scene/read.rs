@@ -17,7 +17,7 @@ pub struct Shipped {
     pub overrides: &'static [&'static str],
 }
 
-/// The scenes of one dimension of the hierarchy, as in the paper's table.
+/// The scenes of one dimension of the hierarchy of Woodward et al. (arXiv:2110.13311).
 macro_rules! hierarchy {
     ($text:literal: $($name:literal $overrides:expr;)*) => {
         [$(Shipped { name: $name, text: include_str!($text), overrides: &$overrides }),*]

@@ -4,6 +4,8 @@
 //! together with the flow: each system of `systems/` has its tangent in the same file. The adjoint
 //! runs from the loss backwards through the pullback of every system, in the reverse of the step's
 //! order. Both differentiate the discrete step that is run, and agree to round-off.
+//!
+//! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 mod adjoint;
 mod check;

@@ -1,23 +1,26 @@
 //! Measured quantities of a flow: conserved quantities, and the contribution of each system.
 
+mod conservation;
 mod dispersion;
 mod increments;
+#[cfg(feature = "laboratory")]
 mod spectrum;
 mod structure;
 
+#[cfg(feature = "laboratory")]
+pub(crate) use conservation::conservation_of;
+pub use conservation::{Conservation, conservation};
 pub use dispersion::{Displacement, close_pairs, pair_dispersion};
 pub use increments::Moments;
+#[cfg(feature = "laboratory")]
 pub use spectrum::energy_spectrum;
 pub use structure::{Structure, structure_functions};
 
-use crate::flow::{Flow, Rows};
+use crate::flow::Flow;
 use crate::models::FluidConstants;
-use crate::recording::Conservation;
-use crate::state::{internal_energies, tait};
-use crate::systems::neighbours::CHUNK;
+use crate::state::tait;
 use crate::systems::term::{Contribution, ContributionKind};
 use crate::vector::Vector;
-use rayon::prelude::*;
 
 /// `Σ m a` over all particles, term by term: zero to round-off where a term conserves momentum.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -84,102 +87,6 @@ pub fn pressure_error<const D: usize>(
         largest = largest.max(truth.abs());
     }
     apart / largest
-}
-
-/// The record `/diag/conservation` of a flow's current state.
-pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
-    conservation_of(flow, &flow.rows(), true)
-}
-
-/// The same for given rows. The momentum rates of each system, which need force evaluations, are
-/// included only if requested.
-pub(crate) fn conservation_of<const D: usize>(
-    flow: &Flow<D>,
-    rows: &Rows<'_, D>,
-    by_system: bool,
-) -> Conservation {
-    let fluid = flow.model().medium().fluid;
-    let c = fluid.c;
-    let (sums, mass) = (Sums::of(rows, &fluid), flow.mass());
-    let (kinetic, fastest) = (0.5 * mass * sums.squares, sums.largest_square.sqrt());
-    let rates = by_system.then(|| flow.momentum_rates());
-    let rate = |rate: fn(&MomentumRates<D>) -> Vector<f64, D>| {
-        rates.iter().flat_map(|rates| rate(rates).0).collect()
-    };
-    let terms = || rates.iter().flat_map(|rates| &rates.contributions);
-    Conservation {
-        step: flow.steps(),
-        time: flow.time(),
-        kinetic_energy: kinetic,
-        total_energy: kinetic + mass * sums.internal_energy,
-        max_mach: fastest / c,
-        max_density_deviation: sums.deviation,
-        momentum: (sums.velocity * mass).0.to_vec(),
-        momentum_pressure: rate(|rates| rates.pressure),
-        momentum_viscosity: rate(|rates| rates.viscosity),
-        momentum_forcing: rate(|rates| rates.forcing),
-        terms: terms().map(|found| found.name.clone()).collect(),
-        momentum_terms: terms().flat_map(|found| found.rate.0).collect(),
-        courant: flow.dt() * (c + fastest) / flow.smoothing_length(),
-    }
-}
-
-/// Sums over particles in one pass, chunk by chunk, so that they do not depend on threads.
-#[derive(Clone, Copy, Debug)]
-struct Sums<const D: usize> {
-    /// `Σ v`.
-    velocity: Vector<f64, D>,
-    /// `Σ |v|²`.
-    squares: f64,
-    /// Largest `|v|²`.
-    largest_square: f64,
-    /// `Σ e(ρ)`.
-    internal_energy: f64,
-    /// Largest `|ρ − 1|`.
-    deviation: f64,
-}
-
-impl<const D: usize> Sums<D> {
-    const NOTHING: Self = Self {
-        velocity: Vector([0.0; D]),
-        squares: 0.0,
-        largest_square: 0.0,
-        internal_energy: 0.0,
-        deviation: 0.0,
-    };
-
-    fn of(rows: &Rows<'_, D>, &FluidConstants { c, gamma, p0, .. }: &FluidConstants) -> Self {
-        let velocities = rows.velocities.par_chunks(CHUNK);
-        let parts = velocities.zip(rows.densities.par_chunks(CHUNK)).map(|(v, rho)| {
-            let mut sums = Self::NOTHING;
-            v.iter().for_each(|v| sums.see_velocity(v.0));
-            rho.iter().for_each(|rho| sums.deviation = sums.deviation.max((rho.0 - 1.0).abs()));
-            sums.internal_energy = internal_energies(rho.iter().map(|rho| rho.0), c, gamma);
-            if p0 != 0.0 {
-                // ∫ p₀/ρ² dρ from ρ₀ = 1.
-                sums.internal_energy += p0 * rho.iter().map(|rho| 1.0 - 1.0 / rho.0).sum::<f64>();
-            }
-            sums
-        });
-        let parts: Vec<Self> = parts.collect();
-        parts.into_iter().fold(Self::NOTHING, Self::and)
-    }
-
-    fn see_velocity(&mut self, velocity: Vector<f64, D>) {
-        let square = velocity.norm_squared();
-        self.velocity += velocity;
-        self.squares += square;
-        self.largest_square = self.largest_square.max(square);
-    }
-
-    fn and(mut self, other: Self) -> Self {
-        self.velocity += other.velocity;
-        self.squares += other.squares;
-        self.largest_square = self.largest_square.max(other.largest_square);
-        self.internal_energy += other.internal_energy;
-        self.deviation = self.deviation.max(other.deviation);
-        self
-    }
 }
 
 /// `Σᵢ rᵢ × Fᵢ` with each pair force at its minimum image, `½ Σᵢⱼ rᵢⱼ × m aᵢⱼ`: zero to round-off for

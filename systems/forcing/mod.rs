@@ -1,4 +1,6 @@
 //! Forcing terms, appendix A.3, with tangents and pullbacks.
+//!
+//! Appendices are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 mod deterministic;
 mod ornstein_uhlenbeck;

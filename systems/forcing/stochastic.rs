@@ -1,6 +1,6 @@
 //! Stochastic forcing: random large-scale modes, redrawn at fixed intervals.
 
-use crate::forcing::{Mode, stochastic_modes};
+use crate::forcing::{Mode, draw_stochastic_modes};
 use crate::pairs::CHUNK;
 use crate::scalar::Lanes;
 use crate::systems::acceleration::Laws;
@@ -13,7 +13,7 @@ use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 
-/// Term: stochastic forcing, [`stochastic_modes`].
+/// Term: stochastic forcing, [`crate::forcing::stochastic_modes`].
 #[derive(Resource, Clone, Debug)]
 pub struct StochasticForcing {
     /// Seed of the phases.
@@ -21,7 +21,7 @@ pub struct StochasticForcing {
     /// Time between two draws of the phases. It is not the time step, so that the injected power
     /// does not depend on `dt`.
     pub interval: f64,
-    /// Factor on the paper's amplitudes.
+    /// Factor on the amplitudes of Woodward et al. (arXiv:2110.13311), appendix A.3.
     pub strength: f64,
     modes: Vec<Mode>,
     drawn: Option<u64>,
@@ -39,7 +39,8 @@ impl StochasticForcing {
         // The caller adds half a step to the time, so that round-off cannot move a draw by a step.
         let interval = (time / self.interval).floor() as u64;
         if self.drawn != Some(interval) {
-            self.modes = stochastic_modes(dimension, length, self.seed, interval);
+            let drawn = (self.seed, interval);
+            draw_stochastic_modes((dimension, length), drawn, &mut self.modes);
             self.drawn = Some(interval);
         }
     }

@@ -44,7 +44,7 @@ macro_rules! in_2d_and_3d {
 pub(crate) use in_2d_and_3d;
 
 /// The shipped scene of a dimension with `per_side` particles along each axis, the number of
-/// neighbours of the paper, the default step, no forcing and no training.
+/// neighbours of Woodward et al. (arXiv:2110.13311), the default step, no forcing and no training.
 pub(crate) fn scene<const D: usize>(per_side: usize) -> Scene {
     let mut scene = Scene::shipped(if D == 2 { "inverse-2d" } else { "inverse-3d" }).unwrap();
     let spacing = scene.fluid.box_length / per_side as f64;

@@ -114,8 +114,9 @@ pub(crate) struct Setting {
 }
 
 impl Setting {
-    /// The paper's flow in 3D with the field loss: ten steps of 4096 particles, fewer steps of more
-    /// particles with the same number of neighbours; two of 216 for a quick run.
+    /// The flow of Woodward et al. (arXiv:2110.13311) in 3D with the field loss: ten steps of 4096
+    /// particles, fewer steps of more particles with the same number of neighbours; two of 216 for a
+    /// quick run.
     pub(crate) fn of_the_paper(arguments: &Arguments, side: usize) -> Self {
         let (side, after, frames) = match (arguments.quick, side) {
             (true, _) => (6, 19, 2),

@@ -25,8 +25,8 @@ struct Setting<const D: usize> {
 }
 
 impl<const D: usize> Setting<D> {
-    /// Ten steps of 4096 particles, with the number of neighbours of the paper; few for a quick
-    /// run.
+    /// Ten steps of 4096 particles, with the number of neighbours of Woodward et al.
+    /// (arXiv:2110.13311); few for a quick run.
     fn new(quick: bool) -> Self {
         let name = if D == 2 { "inverse-2d" } else { "inverse-3d" };
         let side = match (D, quick) {

@@ -99,7 +99,8 @@ impl Contestant {
         Self { scene, kind, learned, columns }
     }
 
-    /// Number of parameters in the adjoint's gradient: the paper learns four of physics.
+    /// Number of parameters in the adjoint's gradient: Woodward et al. (arXiv:2110.13311) learn four
+    /// of physics.
     fn count(&self) -> usize {
         if self.kind == "physics" { 4 } else { self.learned.len() }
     }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Each component of each particle is drawn independently from a normal distribution of standard
 /// deviation `initial.velocity`: a start without any length scale, with the spectrum of white noise
-/// (Woodward et al. 2022, arXiv:2110.13311).
+/// (Woodward et al. 2021, arXiv:2110.13311).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Normal {}

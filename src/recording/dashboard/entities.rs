@@ -7,7 +7,8 @@ use rerun::{
 
 use super::layout::{Content, PALETTE, shown_parameters};
 use crate::recording::messages::log10;
-use crate::recording::{Cloud, Conservation, Level, Recording, RunInfo, TrainStep, Values, colour};
+use crate::recording::{Cloud, Level, Recording, RunInfo, TrainStep, Values, colour};
+use crate::statistics::Conservation;
 use crate::{Error, Result};
 
 /// Radius of a particle, relative to the mean distance of particles.
