@@ -64,7 +64,7 @@ use verlet::Step;
 /// One step, in order.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Phase {
-    /// The force anew at `(rᵏ, vᵏ)`: only in the steps `paper` and `two-force`.
+    /// The force evaluated again at `(rᵏ, vᵏ)`: only in the steps `paper` and `two-force`.
     Refresh,
     /// `v½ = vᵏ + dt/2 Fᵏ`.
     FirstKick,
@@ -123,13 +123,13 @@ pub enum Program {
     Return,
 }
 
-/// The occasions on which a term is asked for its systems.
+/// The occasions on which the systems of a term are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
     /// The first force evaluation, at step zero.
     Start,
-    /// The force anew at `(rᵏ, vᵏ)`, with the densities of the step before; only in the steps
-    /// `paper` and `two-force`.
+    /// The force evaluated again at `(rᵏ, vᵏ)`, with the densities of the step before; only in the
+    /// steps `paper` and `two-force`.
     Refresh,
     /// The step itself, with a force evaluation after the drift.
     Step,

@@ -43,7 +43,7 @@ pub struct Neighbours<const D: usize> {
     pub rebuilds: u64,
     /// Whether the lists may be used.
     valid: bool,
-    /// Positions by row at the last rebuild, where they are asked for.
+    /// Positions by row at the last rebuild, if they are requested.
     reference: Option<Vec<Vector<f64, D>>>,
     /// Fixed-point coordinates in cell order at the last rebuild, padded by two [`WIDTH`].
     columns: [Vec<i32>; D],

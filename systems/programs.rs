@@ -47,7 +47,8 @@ impl Programs {
     /// system; backwards the pullbacks of the same systems, in reverse.
     ///
     /// # Errors
-    /// [`Error::Input`] where a gradient is asked for and a term lacks a derivative; it names the term.
+    /// [`Error::Input`] where a requested gradient needs a derivative that a term lacks; it names
+    /// the term.
     pub fn of<const D: usize>(terms: &Terms<D>, needs: &Needs) -> Result<Self> {
         let step = needs.occasions_of_a_step();
         for &occasion in [Occasion::Start].iter().chain(step) {

@@ -37,7 +37,7 @@ pub enum Step {
     Paper,
     /// The paper's step with `F(r', v½)` carried as the next step's `F`.
     OneForce,
-    /// Kick-drift-kick with `F` evaluated anew at `(r', v')`.
+    /// Kick-drift-kick with `F` evaluated again at `(r', v')`.
     TwoForce,
 }
 

@@ -62,7 +62,7 @@ fn scene(dimension: usize) -> impl Strategy<Value = Scene> {
     )
 }
 
-/// Whether a scene ran; otherwise it has said why not.
+/// Whether a scene ran; if not, asserts that its error gives a reason.
 fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<bool, TestCaseError> {
     let text = scene.to_toml();
     let read = match Scene::parse(&text, "random", &[]) {
@@ -97,7 +97,8 @@ fn runs_or_says_why<const D: usize>(scene: &Scene) -> Result<bool, TestCaseError
     Ok(true)
 }
 
-/// Random scenes of a dimension: at least four of five run, so that no watch can pass by refusing everything.
+/// Random scenes of a dimension: at least four of five must run, so that the test does not pass by
+/// refusals only.
 fn most_run_and_the_others_say_why<const D: usize>() {
     let (ran, all) = (Cell::new(0), Cell::new(0));
     let tried = TestRunner::new(common::random(150)).run(&scene(D), |scene| {

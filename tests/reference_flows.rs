@@ -1,7 +1,7 @@
-//! The shipped flows in two and three dimensions against a program of some sixty plain lines, which shares nothing
-//! with the engine: one number type, all pairs with all pairs, no list, no lane, no thread.
+//! The shipped flows in two and three dimensions against an independent program of about sixty
+//! lines: one number type, all pairs, no list, no lanes, no threads.
 //!
-//! What every clone can check by itself of the promise that the engine computes the equations it states.
+//! Every clone can run this check that the engine computes the equations it states.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
@@ -93,7 +93,8 @@ impl<const D: usize> Fluid<D> {
         (0..r.len()).map(force).collect()
     }
 
-    /// Half a kick, a drift, and half a kick by the force of the new places and the half-step velocities.
+    /// Half a kick, a drift, and half a kick by the force at the new positions and the half-step
+    /// velocities.
     fn step(&self, r: &mut Rows<D>, v: &mut Rows<D>, dt: f64) {
         let add = |to: &mut Rows<D>, by: &Rows<D>, factor: f64| {
             to.iter_mut().flatten().zip(by.iter().flatten()).for_each(|(x, y)| *x += factor * y);
@@ -104,7 +105,7 @@ impl<const D: usize> Fluid<D> {
     }
 }
 
-/// The plain fluid of a scene that asks for nothing else.
+/// The plain fluid of a scene without other terms.
 fn fluid_of<const D: usize>(scene: &Scene) -> Fluid<D> {
     let f = &scene.fluid;
     assert_eq!((f.kernel, scene.time.step), (KernelChoice::CubicSpline, Step::Paper));
@@ -115,7 +116,7 @@ fn fluid_of<const D: usize>(scene: &Scene) -> Fluid<D> {
     Fluid { side, h, mass, c, alpha, beta, gamma, theta }
 }
 
-/// The largest difference of positions, to the nearest image, and of velocities.
+/// The largest difference of positions, of nearest images, and of velocities.
 fn off<const D: usize>(fluid: &Fluid<D>, state: &State<D>, r: &Rows<D>, v: &Rows<D>) -> [f64; 2] {
     let places = state.positions.iter().zip(r).map(|(a, b)| fluid.apart(&a.0, b).1.sqrt());
     let speeds = state.velocities.iter().zip(v);

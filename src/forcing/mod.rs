@@ -252,7 +252,7 @@ pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64)
     modes
 }
 
-/// [`stochastic_modes`] in place of others, in their memory.
+/// Replaces `modes` by [`stochastic_modes`], and reuses their memory.
 pub(crate) fn draw_stochastic_modes(
     (dimension, length): (usize, f64),
     (seed, interval): (u64, u64),

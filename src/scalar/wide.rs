@@ -194,13 +194,14 @@ pub fn dispatch_by_kernel<P: Pass>(is_table: bool, precision: Precision, pass: P
     run_on(arch_for(is_table), precision, pass)
 }
 
-/// As [`dispatch_by_kernel`], in doubles: a pass that is never run in singles is not compiled for them.
+/// As [`dispatch_by_kernel`], in double precision. A pass that never runs in `f32` is not compiled
+/// for it.
 #[inline]
 pub fn dispatch_doubles_by_kernel<P: Pass>(is_table: bool, pass: P) -> P::Output {
     run_doubles(arch_for(is_table), pass)
 }
 
-/// The instruction set whose registers have room for the tables of a kernel, or the widest.
+/// The widest instruction set; for a tabulated kernel, one with [`Scalar::TABLES`].
 fn arch_for(is_table: bool) -> Arch {
     if is_table { Arch::Scalar } else { Arch::new() }
 }

@@ -1,4 +1,4 @@
-//! What a flow should keep, measured at one step.
+//! Conserved quantities of a flow.
 
 use super::MomentumRates;
 use crate::flow::{Flow, Rows};
@@ -8,14 +8,14 @@ use crate::systems::neighbours::CHUNK;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
-/// What a flow should keep, at one step.
+/// Conserved quantities of a flow at one step.
 ///
-/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one per system that
-/// accelerates them: round-off if that system conserves momentum. They take force evaluations of their own, and are
-/// empty where they were not asked for (`record.momentum_every`).
+/// Every list has one entry per dimension. `momentum_*` are sums of `m a` over all particles, one
+/// per system that accelerates them: round-off if that system conserves momentum. They need
+/// additional force evaluations, and are empty if they are not requested (`record.momentum_every`).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Conservation {
-    /// Which step, from 0.
+    /// The step, from 0.
     pub step: u64,
     /// Simulation time.
     pub time: f64,
@@ -23,7 +23,7 @@ pub struct Conservation {
     pub kinetic_energy: f64,
     /// Kinetic and internal energy, `Σ m (|v|²/2 + e(ρ))`.
     pub total_energy: f64,
-    /// Largest speed over the speed of sound.
+    /// Largest speed divided by the speed of sound.
     pub max_mach: f64,
     /// Largest `|ρ/ρ₀ − 1|`.
     pub max_density_deviation: f64,
@@ -39,17 +39,17 @@ pub struct Conservation {
     pub courant: f64,
     /// Names of the parts of all terms that accelerate particles.
     pub terms: Vec<String>,
-    /// `Σ m a` of each of them, one vector after another.
+    /// `Σ m a` of each part, one vector after another.
     pub momentum_terms: Vec<f64>,
 }
 
-/// What a flow keeps, as it stands.
+/// The conserved quantities of a flow's current state.
 pub fn conservation<const D: usize>(flow: &mut Flow<D>) -> Conservation {
     conservation_of(flow, &flow.rows(), true)
 }
 
-/// The same of a flow whose rows are at hand; what each system does to momentum, which takes force
-/// evaluations, only where that is asked for.
+/// The same for given rows. The momentum rates of each system, which need force evaluations, are
+/// included only if requested.
 pub(crate) fn conservation_of<const D: usize>(
     flow: &Flow<D>,
     rows: &Rows<'_, D>,
@@ -81,7 +81,7 @@ pub(crate) fn conservation_of<const D: usize>(
     }
 }
 
-/// What is summed over particles in one pass, chunk by chunk, so that the sums do not depend on threads.
+/// Sums over particles in one pass, chunk by chunk, so that they do not depend on threads.
 #[derive(Clone, Copy, Debug)]
 struct Sums<const D: usize> {
     /// `Σ v`.

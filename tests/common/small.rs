@@ -63,7 +63,7 @@ pub(crate) fn record(truth: &Truth<2>, scene: &Scene, path: &Path) {
     recorder.finish().unwrap();
 }
 
-/// An array of doubles.
+/// An array of `f64`.
 pub(crate) fn npy(shape: &[u64], numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut writer = WriteOptions::<f64>::new()

@@ -1,4 +1,4 @@
-//! What the pieces cost that larger benchmarks are made of: a network per pair, the loss of velocity increments.
+//! The cost of the parts of larger benchmarks: a network per pair, the loss of velocity increments.
 
 #![allow(clippy::unwrap_used, reason = "a benchmark may stop here")]
 #![allow(clippy::print_stdout, reason = "a benchmark prints what it measured")]
@@ -38,7 +38,7 @@ fn main() {
     print_increments(rounds);
 }
 
-/// What follows the value of a network.
+/// The derivative evaluated after the value of a network.
 #[derive(Clone, Copy)]
 enum After {
     Nothing,
@@ -47,7 +47,7 @@ enum After {
     Weights,
 }
 
-/// A network evaluated many times under the widest instructions.
+/// A network evaluated many times with the widest instructions.
 struct Work<'a> {
     network: &'a Network,
     parameters: &'a [f64],

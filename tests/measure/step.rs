@@ -291,7 +291,7 @@ impl Pass for Floor<'_> {
     }
 }
 
-/// Density and forces by a plain loop over single doubles and the same lists.
+/// Density and forces by a plain scalar loop in `f64`, over the same lists.
 fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
     let neighbours = world.resource::<Neighbours<3>>();
     let support2 = medium.smoothing.support() * medium.smoothing.support();

@@ -3,14 +3,14 @@
 //!
 //! | what | where | when it does not fit |
 //! |---|---|---|
-//! | finite numbers, positive densities, the same particles in every frame | every door | refused, whatever is forced |
-//! | dimension, number of frames | `--truth`, `--from` | refused, whatever is forced |
-//! | moved as far as the velocities say, frame by frame | `import`, `--truth` | refused; from some per cent on a warning |
+//! | finite numbers, positive densities, the same particles in every frame | every door | refused, even if forced |
+//! | dimension, number of frames | `--truth`, `--from` | refused, even if forced |
+//! | displacements by the velocities, frame by frame | `import`, `--truth` | refused; a deviation above 1 % is a warning |
 //! | one particle that jumps | `import`, `--truth` | refused; a small jump is a warning |
 //! | the box is filled, no axis is flat | every door | refused |
 //! | equal times between frames | `import`, `--truth` | refused |
 //! | time between frames, box | `--truth` | refused |
-//! | densities against `Σ m W` | `--truth`, `import` where `h` is given | refused; a small difference is a warning, and they are summed anew |
+//! | densities against `Σ m W` | `--truth`, `import` where `h` is given | refused; a small difference is a warning, and they are recomputed |
 //! | `h`, kernel and kind of step of the scene that made the recording | `--truth` | refused |
 //! | its time step, forcing, viscosity, and constants that are not learned | `--truth` | a warning |
 //! | box | `--from` | refused |
