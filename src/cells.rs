@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 /// Particles per parallel task, minimum, in a pass that only copies numbers: fewer take some
 /// microseconds, and are not worth another thread.
-pub(crate) const FEWEST: usize = 1024;
+pub(crate) const MIN_PARALLEL_LEN: usize = 1024;
 
 /// A cell list: particles sorted by the cell they are in.
 ///
@@ -47,7 +47,7 @@ impl<const D: usize> Cells<D> {
         let width = reach + 4.0 * space.length / PackedSingle::STEPS;
         self.per_axis = (space.length / width).floor().clamp(1.0, most) as usize;
         self.length = space.length;
-        let cells = slots.par_iter_mut().with_min_len(FEWEST).enumerate();
+        let cells = slots.par_iter_mut().with_min_len(MIN_PARALLEL_LEN).enumerate();
         cells.for_each(|(row, cell)| *cell = self.index(self.coordinates(position(row))) as u32);
         let cells = self.per_axis.pow(D as u32);
         counting_sort(slots, cells, &mut self.start, &mut self.row_of_slot);

@@ -1,8 +1,8 @@
-//! Neighbour lists in groups of eight, as they are stored; [`crate::draft`] builds them.
+//! Neighbour lists in groups of eight, as they are stored; [`crate::list_builder`] builds them.
 
-use crate::draft::{Draft, Lists};
+use crate::list_builder::{ListBuilder, Lists};
 use crate::pairs::{Surroundings, pick};
-use crate::scalar::{WIDTH, Wide};
+use crate::scalar::{SimdFloat, WIDTH};
 use crate::space::PeriodicBox;
 
 /// Particles per chunk, the unit of parallel work. It is fixed, so that no result depends on the
@@ -11,7 +11,7 @@ pub const CHUNK: usize = 256;
 
 /// Chunks per parallel task, maximum. Smaller tasks limit how long other threads wait for one that
 /// the operating system has suspended.
-pub const AT_ONCE: usize = 4;
+pub const MAX_BLOCKS_PER_TASK: usize = 4;
 
 /// Size of all particle lines, in bytes, up to which they fit the cache and prefetching is skipped.
 const FITS_CACHE: usize = 4 << 20;
@@ -112,8 +112,8 @@ impl<E: Entry> Eight<'_, E> {
 
     /// Number of neighbours that are not the sentinel, which comes last.
     #[inline(always)]
-    pub(crate) fn count(&self, nobody: usize) -> usize {
-        (0..WIDTH).filter(|&lane| self.slot(lane) != nobody).count()
+    pub(crate) fn count(&self, sentinel: usize) -> usize {
+        (0..WIDTH).filter(|&lane| self.slot(lane) != sentinel).count()
     }
 
     /// Their slots.
@@ -210,7 +210,7 @@ impl Chunk {
     /// Prefetches the lines of the neighbours of the chunk's `k`-th slot, if there is one, where
     /// the lines do not fit the cache.
     #[inline(always)]
-    pub fn fetch_ahead<W: Wide, E: Entry>(&self, k: usize, lines: &[W::Line]) {
+    pub fn fetch_ahead<W: SimdFloat, E: Entry>(&self, k: usize, lines: &[W::Line]) {
         if k < self.len() {
             fetch::<W, E>(self.neighbours(k), lines);
         }
@@ -227,10 +227,10 @@ impl Chunk {
     /// Becomes a copy of lists of a flow of `particles` particles. The first copy reserves exactly
     /// what it needs; a later one that must grow reserves a sixteenth more, so that it seldom does.
     #[inline(always)]
-    pub fn copy_from(&mut self, draft: &Draft, particles: usize) {
-        self.copy_slots(draft);
-        let base = Self::base_of(draft.first, particles);
-        let eights = draft.eights();
+    pub fn copy_from(&mut self, list_builder: &ListBuilder, particles: usize) {
+        self.copy_slots(list_builder);
+        let base = Self::base_of(list_builder.first, particles);
+        let eights = list_builder.eights();
         // Slots before the base wrap to the largest numbers.
         let from_base = eights.as_flattened().iter().map(|slot| slot.wrapping_sub(base as u32));
         if particles > FEW && from_base.fold(0, u32::max) as usize > FEW {
@@ -276,7 +276,7 @@ impl Chunk {
 
 /// Prefetches the lines of some particles, where the lines do not fit the cache.
 #[inline(always)]
-pub(crate) fn fetch<'a, W: Wide, E: Entry>(
+pub(crate) fn fetch<'a, W: SimdFloat, E: Entry>(
     eights: impl Iterator<Item = Eight<'a, E>>,
     lines: &[W::Line],
 ) {
@@ -314,16 +314,16 @@ mod tests {
     use super::*;
 
     /// Lists of two slots from `first` on; the second lacks the first neighbour of the first.
-    fn draft(first: usize, slots: &[u32], filler: usize) -> Draft {
-        let mut draft = Draft::default();
-        draft.clear();
-        draft.first = first;
+    fn list_builder(first: usize, slots: &[u32], filler: usize) -> ListBuilder {
+        let mut list_builder = ListBuilder::default();
+        list_builder.clear();
+        list_builder.first = first;
         for slots in [slots, &slots[1..]] {
-            draft.open(slots.len())[..slots.len()].copy_from_slice(slots);
-            draft.fill(slots.len());
-            draft.close(filler, false);
+            list_builder.open(slots.len())[..slots.len()].copy_from_slice(slots);
+            list_builder.fill(slots.len());
+            list_builder.close(filler, false);
         }
-        draft
+        list_builder
     }
 
     #[test]
@@ -343,10 +343,10 @@ mod tests {
             (0, million, &[3, 7, 500_000, 999_999], 5000, 4),
             (512, million, &[5], 5000, 2),
         ] {
-            let draft = draft(first, slots, filler);
-            chunk.copy_from(&draft, particles);
+            let list_builder = list_builder(first, slots, filler);
+            chunk.copy_from(&list_builder, particles);
             let written: Vec<u32> =
-                (0..2).flat_map(|k| draft.neighbours(k)).flatten().copied().collect();
+                (0..2).flat_map(|k| list_builder.neighbours(k)).flatten().copied().collect();
             fn kept<E: Entry>(chunk: &Chunk) -> Vec<u32> {
                 let of = |k| chunk.neighbours::<E>(k).flat_map(|eight| eight.slots());
                 (0..2).flat_map(of).collect()
@@ -358,7 +358,7 @@ mod tests {
             assert_eq!(chunk.is_short(), bytes == 2, "{first} of {particles}: {slots:?}, {filler}");
             assert_eq!(
                 [chunk.range(0).len(), chunk.batches()],
-                [draft.neighbours(0).len(), written.len() / WIDTH]
+                [list_builder.neighbours(0).len(), written.len() / WIDTH]
             );
         }
     }

@@ -4,7 +4,7 @@
 pub mod arrays;
 pub mod cells;
 pub mod chunk;
-pub mod draft;
+
 pub mod error;
 #[cfg(feature = "laboratory")]
 pub mod evaluation;
@@ -18,6 +18,7 @@ pub mod forcing;
 pub mod interrupt;
 pub mod kernel;
 pub mod learn;
+pub mod list_builder;
 pub mod losses;
 pub mod models;
 pub mod near;

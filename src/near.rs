@@ -2,7 +2,7 @@
 
 use crate::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
 use crate::pairs::Surroundings;
-use crate::scalar::{Pass, WIDTH, Wide, dispatch};
+use crate::scalar::{SimdFloat, SimdTask, WIDTH, dispatch};
 use crate::space::PeriodicBox;
 
 /// The neighbours within `2h` of [`CHUNK`] consecutive slots. All loops over pairs run over these,
@@ -76,7 +76,7 @@ impl Near {
     /// Prefetches the lines of the neighbours of the `k`-th slot, if there is one, where the lines
     /// do not fit the cache.
     #[inline(always)]
-    pub fn fetch_ahead<W: Wide>(&self, k: usize, lines: &[W::Line]) {
+    pub fn fetch_ahead<W: SimdFloat>(&self, k: usize, lines: &[W::Line]) {
         if k < self.len() {
             fetch::<W, u32>(self.neighbours(k), lines);
         }
@@ -92,16 +92,16 @@ impl Near {
         self.seam.reserve(CHUNK.saturating_sub(self.seam.len()));
     }
 
-    /// Copies the neighbours of a chunk's lists that are in the masks; `nobody` is the index of the
+    /// Copies the neighbours of a chunk's lists that are in the masks; `sentinel` is the index of the
     /// sentinel, one past the last particle.
-    pub fn find(&mut self, lists: &Chunk, masks: &[u8], nobody: usize) {
+    pub fn find(&mut self, lists: &Chunk, masks: &[u8], sentinel: usize) {
         self.make_room(lists.batches());
         self.first = lists.first;
         self.seam.clear();
         self.seam.extend_from_slice(lists.seam());
         self.start.clear();
         self.start.push(0);
-        dispatch(Sift { lists, masks, nobody: [nobody as u32; WIDTH], near: self });
+        dispatch(Sift { lists, masks, sentinel: [sentinel as u32; WIDTH], near: self });
     }
 }
 
@@ -109,23 +109,23 @@ impl Near {
 struct Sift<'a> {
     lists: &'a Chunk,
     masks: &'a [u8],
-    nobody: [u32; WIDTH],
+    sentinel: [u32; WIDTH],
     near: &'a mut Near,
 }
 
-impl Pass for Sift<'_> {
+impl SimdTask for Sift<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         if self.lists.is_short() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
     }
 }
 
 impl Sift<'_> {
     #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
-        let Self { lists, masks, nobody, near: Near { start, slots, .. } } = self;
+    fn sweep<W: SimdFloat, E: Entry>(self) {
+        let Self { lists, masks, sentinel, near: Near { start, slots, .. } } = self;
         let slots = slots.as_flattened_mut();
         let mut filled = 0;
         for k in 0..lists.len() {
@@ -135,7 +135,7 @@ impl Sift<'_> {
                 }
                 filled += mask.count_ones() as usize;
             }
-            slots[filled..filled + WIDTH].copy_from_slice(&nobody);
+            slots[filled..filled + WIDTH].copy_from_slice(&sentinel);
             filled = filled.next_multiple_of(WIDTH);
             start.push((filled / WIDTH) as u32);
         }
@@ -145,7 +145,7 @@ impl Sift<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draft::Draft;
+    use crate::list_builder::ListBuilder;
 
     #[test]
     fn who_is_near_is_who_is_in_the_masks_of_short_and_of_whole_lists() {
@@ -155,15 +155,15 @@ mod tests {
                 let all = (0..count).map(|k| if k % 2 == 0 { first + 3 * k } else { far - k });
                 all.collect::<Vec<u32>>()
             });
-            let (mut draft, mut chunk) = (Draft::default(), Chunk::default());
-            draft.clear();
-            draft.first = first as usize;
+            let (mut list_builder, mut chunk) = (ListBuilder::default(), Chunk::default());
+            list_builder.clear();
+            list_builder.first = first as usize;
             for (k, list) in lists.iter().enumerate() {
-                draft.open(list.len())[..list.len()].copy_from_slice(list);
-                draft.fill(list.len());
-                draft.close(first as usize, k == 2);
+                list_builder.open(list.len())[..list.len()].copy_from_slice(list);
+                list_builder.fill(list.len());
+                list_builder.close(first as usize, k == 2);
             }
-            chunk.copy_from(&draft, million as usize);
+            chunk.copy_from(&list_builder, million as usize);
             assert_eq!(chunk.is_short(), first > 0);
             let masks = [0b1, 0b1010_0110, 0b1111_0001, 0, 0b1_0110];
             let mut near = Near::default();
@@ -178,9 +178,9 @@ mod tests {
                 let kept: Vec<u32> =
                     list.iter().enumerate().filter(in_mask).map(|(_, &slot)| slot).collect();
                 let found: Vec<u32> = near.neighbours(k).flat_map(|eight| eight.slots()).collect();
-                let (some, nobody) = found.split_at(kept.len());
+                let (some, sentinel) = found.split_at(kept.len());
                 assert_eq!(some, kept, "{k} from {first}");
-                assert!(nobody.len() < WIDTH && nobody.iter().all(|&slot| slot == million));
+                assert!(sentinel.len() < WIDTH && sentinel.iter().all(|&slot| slot == million));
                 assert_eq!(near.around(k, PeriodicBox { length: 1.0 }).seam, k == 2);
             }
         }

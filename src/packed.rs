@@ -1,6 +1,6 @@
 //! Particles packed for the loops over pairs.
 
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{F64x8, SimdFloat};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -15,14 +15,14 @@ pub struct Packed {
     /// Density `ρ`.
     pub density: f64,
     /// The model's function of density, `A = P/ρ²`.
-    pub stress: f64,
+    pub p_over_rho2: f64,
 }
 
 impl Packed {
     /// The sentinel that pads neighbour lists to a whole number of lanes. It is so far away that
     /// every kernel is exactly zero there, and near enough that no fourth power overflows.
-    pub const NOBODY: Self =
-        Self { position: [1e50; 3], velocity: [0.0; 3], density: 1.0, stress: 0.0 };
+    pub const SENTINEL: Self =
+        Self { position: [1e50; 3], velocity: [0.0; 3], density: 1.0, p_over_rho2: 0.0 };
 }
 
 /// The inputs of a pair loop for one particle in single precision: half a cache line.
@@ -40,17 +40,17 @@ pub struct PackedSingle {
     /// The velocity at which the force is evaluated.
     pub velocity: [f32; 3],
     /// The model's function of density, `A = P/ρ²`.
-    pub stress: f32,
+    pub p_over_rho2: f32,
 }
 
 impl PackedSingle {
     /// Fixed-point steps along a side of the box.
     pub const STEPS: f64 = 4_294_967_296.0;
 
-    /// The sentinel, as [`Packed::NOBODY`]. No fixed-point position is far away, so that a negative
+    /// The sentinel, as [`Packed::SENTINEL`]. No fixed-point position is far away, so that a negative
     /// density marks it.
-    pub const NOBODY: Self =
-        Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], stress: 0.0 };
+    pub const SENTINEL: Self =
+        Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], p_over_rho2: 0.0 };
 
     /// A coordinate in fixed-point steps: modulo 2³², as the box is modulo `L`.
     #[inline(always)]
@@ -75,8 +75,8 @@ impl PackedSingle {
     pub fn new(particle: &Packed, space: PeriodicBox) -> Self {
         let mut single = Self {
             density: particle.density as f32,
-            stress: particle.stress as f32,
-            ..Self::NOBODY
+            p_over_rho2: particle.p_over_rho2 as f32,
+            ..Self::SENTINEL
         };
         for axis in 0..3 {
             single.position[axis] = Self::fixed_point(particle.position[axis], space);
@@ -90,31 +90,31 @@ impl PackedSingle {
 #[derive(Clone, Copy, Debug)]
 pub struct PackedSensitivity<const D: usize> {
     /// `δr`.
-    pub position: Vector<Lanes, D>,
+    pub position: Vector<F64x8, D>,
     /// `δv` of the velocity at which the force is evaluated.
-    pub velocity: Vector<Lanes, D>,
+    pub velocity: Vector<F64x8, D>,
     /// `δρ`.
-    pub density: Lanes,
+    pub density: F64x8,
     /// `δA`.
-    pub stress: Lanes,
+    pub p_over_rho2: F64x8,
 }
 
 impl<const D: usize> PackedSensitivity<D> {
     /// No dependence on any parameter.
     pub const ZERO: Self = Self {
-        position: Vector([Lanes::ZERO; D]),
-        velocity: Vector([Lanes::ZERO; D]),
-        density: Lanes::ZERO,
-        stress: Lanes::ZERO,
+        position: Vector([F64x8::ZERO; D]),
+        velocity: Vector([F64x8::ZERO; D]),
+        density: F64x8::ZERO,
+        p_over_rho2: F64x8::ZERO,
     };
 
     /// Prefetches all columns.
     #[inline(always)]
-    pub fn fetch<W: Wide>(&self) {
+    pub fn fetch<W: SimdFloat>(&self) {
         W::fetch_columns(&self.position.0);
         W::fetch_columns(&self.velocity.0);
         W::fetch_columns(std::slice::from_ref(&self.density));
-        W::fetch_columns(std::slice::from_ref(&self.stress));
+        W::fetch_columns(std::slice::from_ref(&self.p_over_rho2));
     }
 }
 

@@ -1,10 +1,10 @@
 //! How pair loops read one particle and eight neighbours at a time.
 
-pub use crate::chunk::{AHEAD, AT_ONCE, CHUNK, Chunk, Eight, Entry};
-pub use crate::draft::{Draft, Lists};
+pub use crate::chunk::{AHEAD, CHUNK, Chunk, Eight, Entry, MAX_BLOCKS_PER_TASK};
+pub use crate::list_builder::{ListBuilder, Lists};
 use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
-use crate::scalar::{Precision, Scalar, WIDTH, Wide};
+use crate::scalar::{Precision, Scalar, SimdFloat, WIDTH};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -31,14 +31,14 @@ pub struct Lines<'a> {
 impl Lines<'_> {
     /// The index of the sentinel, one past the last particle.
     #[inline(always)]
-    pub fn nobody(&self) -> usize {
+    pub fn sentinel(&self) -> usize {
         self.double.len() - 1
     }
 }
 
 /// One chunk of particles with its neighbours: what a pair loop runs over.
 #[derive(Clone, Copy, Debug)]
-pub struct Hood<'a> {
+pub struct Neighbourhood<'a> {
     /// All particles.
     pub lines: Lines<'a>,
     /// The chunk, and its neighbours within the support.
@@ -53,7 +53,7 @@ pub struct Pair<T> {
     /// `|rᵢⱼ|²`.
     pub r2: T,
     /// `vᵢⱼ·rᵢⱼ`, negative while the pair approaches.
-    pub approach: T,
+    pub v_dot_r: T,
     /// `ρᵢ`.
     pub rho_i: T,
     /// `ρⱼ`.
@@ -83,9 +83,9 @@ pub struct Reading<W, const D: usize> {
     /// `ρⱼ`.
     pub density: W,
     /// `Aᵢ`.
-    pub stress_i: f64,
+    pub p_over_rho2_i: f64,
     /// `Aⱼ`.
-    pub stress: W,
+    pub p_over_rho2: W,
 }
 
 /// One particle against eight neighbours.
@@ -98,9 +98,9 @@ pub struct Batch<W, const D: usize> {
     /// The scalars of a central pair law.
     pub pair: Pair<W>,
     /// `Aᵢ`.
-    pub stress_i: W,
+    pub p_over_rho2_i: W,
     /// `Aⱼ`.
-    pub stress_j: W,
+    pub p_over_rho2_j: W,
 }
 
 /// References to eight of many particles.
@@ -114,7 +114,7 @@ pub fn pick<'a, P>(all: &'a [P], others: Eight<'_, impl Entry>) -> [&'a P; WIDTH
 
 /// `∂L/∂F` and `∂L/∂ρ` of eight particles.
 #[inline(always)]
-pub fn adjoints<W: Wide>(
+pub fn adjoints<W: SimdFloat>(
     adjoint: &[PackedAdjoint],
     others: Eight<'_, impl Entry>,
 ) -> [W::Double; 4] {
@@ -123,7 +123,7 @@ pub fn adjoints<W: Wide>(
 
 /// `rᵢⱼ` of the particle in slot `here` and eight others.
 #[inline(always)]
-pub fn separation<W: Wide, const D: usize>(
+pub fn separation<W: SimdFloat, const D: usize>(
     lines: Lines<'_>,
     here: usize,
     others: Eight<'_, impl Entry>,
@@ -133,7 +133,7 @@ pub fn separation<W: Wide, const D: usize>(
     W::separation(&lines[here], pick(lines, others), space)
 }
 
-impl<W: Wide, const D: usize> Batch<W, D> {
+impl<W: SimdFloat, const D: usize> Batch<W, D> {
     /// `rᵢⱼ/r`; zero where the particles coincide.
     #[inline(always)]
     pub fn direction(&self) -> Vector<W, D> {
@@ -165,12 +165,12 @@ impl<W: Wide, const D: usize> Batch<W, D> {
             velocity: read.velocity,
             pair: Pair {
                 r2: read.separation.norm_squared(),
-                approach: read.velocity.dot(read.separation),
+                v_dot_r: read.velocity.dot(read.separation),
                 rho_i: W::of(read.rho_i),
                 rho_j: read.density,
             },
-            stress_i: W::of(read.stress_i),
-            stress_j: read.stress,
+            p_over_rho2_i: W::of(read.p_over_rho2_i),
+            p_over_rho2_j: read.p_over_rho2,
         }
     }
 }

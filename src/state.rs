@@ -2,7 +2,7 @@
 //!
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
-use crate::scalar::{Lanes, Scalar, WIDTH};
+use crate::scalar::{F64x8, Scalar, WIDTH};
 
 /// Tait's pressure `P = (c² ρ₀/γ) [(ρ/ρ₀)^γ − 1]`, Eq. (20), with `ρ₀ = 1`.
 ///
@@ -15,16 +15,16 @@ pub fn tait<T: Scalar>(rho: T, c: T, gamma: T) -> T {
 
 /// The function of pressure in the force on a pair, `P/ρ²`.
 #[inline(always)]
-pub fn stress<T: Scalar>(pressure: T, rho: T) -> T {
+pub fn p_over_rho2<T: Scalar>(pressure: T, rho: T) -> T {
     pressure / (rho * rho)
 }
 
 /// `A = P/ρ²` of Tait's fluid with background pressure `p₀`, for eight particles. Where `γ` is a
 /// whole number, powers are computed as products.
-pub fn tait_stress(rho: Lanes, c: f64, gamma: f64, p0: f64) -> Lanes {
+pub fn tait_p_over_rho2(rho: F64x8, c: f64, gamma: f64, p0: f64) -> F64x8 {
     let power = match whole(gamma) {
         Some(gamma) => power(rho, gamma),
-        None => rho.powf(Lanes::of(gamma)),
+        None => rho.powf(F64x8::of(gamma)),
     };
     let pressure = (power - 1.0) * (c * c / gamma);
     let pressure = if p0 == 0.0 { pressure } else { pressure + p0 };
@@ -35,7 +35,7 @@ pub fn tait_stress(rho: Lanes, c: f64, gamma: f64, p0: f64) -> Lanes {
 /// by hand and evaluates no power of its own; a test compares it with [`crate::scalar::Dual`]
 /// numbers.
 #[inline(always)]
-pub fn tait_stress_gradient<T: Scalar>(
+pub fn tait_p_over_rho2_gradient<T: Scalar>(
     (rho, logarithm, power): (T, T, T),
     c: f64,
     gamma: f64,
@@ -71,14 +71,14 @@ pub(crate) fn internal_energies(mut rho: impl Iterator<Item = f64>, c: f64, gamm
     };
     let compression = f64::from(exponent);
     let energy =
-        |rho: Lanes| (power(rho, exponent) - 1.0) / compression + (Lanes::of(1.0) / rho - 1.0);
-    let mut sum = Lanes::ZERO;
+        |rho: F64x8| (power(rho, exponent) - 1.0) / compression + (F64x8::of(1.0) / rho - 1.0);
+    let mut sum = F64x8::ZERO;
     while let Some(first) = rho.next() {
         // Unused lanes are at `ρ₀`, where the energy is zero.
         let mut lanes = [1.0; WIDTH];
         lanes[0] = first;
         lanes[1..].iter_mut().zip(&mut rho).for_each(|(lane, rho)| *lane = rho);
-        sum += energy(Lanes::new(lanes));
+        sum += energy(F64x8::new(lanes));
     }
     c * c / gamma * sum.sum()
 }
@@ -94,8 +94,8 @@ fn whole(power: f64) -> Option<u32> {
 
 /// `xⁿ` by squaring.
 #[inline(always)]
-fn power(x: Lanes, mut n: u32) -> Lanes {
-    let (mut result, mut square) = (Lanes::of(1.0), x);
+fn power(x: F64x8, mut n: u32) -> F64x8 {
+    let (mut result, mut square) = (F64x8::of(1.0), x);
     while n > 0 {
         if n % 2 == 1 {
             result = result * square;
@@ -119,18 +119,18 @@ mod tests {
                 let slope = (internal_energy(rho + step, 3.0, gamma)
                     - internal_energy(rho - step, 3.0, gamma))
                     / (2.0 * step);
-                let expected = stress(tait(rho, 3.0, gamma), rho);
+                let expected = p_over_rho2(tait(rho, 3.0, gamma), rho);
                 assert!((slope - expected).abs() < 1e-8 * (1.0 + expected.abs()));
             }
         }
     }
 
     #[test]
-    fn a_whole_power_gives_the_stress_of_the_power_function() {
+    fn a_whole_power_gives_the_p_over_rho2_of_the_power_function() {
         for gamma in [1.0, 2.0, 6.999, 7.0, 64.0, 65.0] {
             for rho in [0.0, 0.3, 0.95, 1.0, 1.0 + 1e-9, 1.3, 40.0] {
-                let expected = stress(tait(rho, 3.0, gamma), rho);
-                let found = tait_stress(Lanes::of(rho), 3.0, gamma, 0.0).to_array()[5];
+                let expected = p_over_rho2(tait(rho, 3.0, gamma), rho);
+                let found = tait_p_over_rho2(F64x8::of(rho), 3.0, gamma, 0.0).to_array()[5];
                 // The relative error of the power is one rounding for each of its products.
                 let bound = 2.0 * gamma * f64::EPSILON * (expected.abs() + 9.0 / (rho * rho));
                 let same = found.to_bits() == expected.to_bits();
@@ -155,8 +155,8 @@ mod tests {
         for (c, gamma) in [(10.0, 7.0), (0.7, 1.0), (-3.0, 1.4), (0.0, 7.0)] {
             for rho in [0.3_f64, 0.97, 1.0, 1.02, 2.5] {
                 let (r, by_c, by_gamma) = (variable(rho, 0), variable(c, 1), variable(gamma, 2));
-                let exact = stress(tait(r, by_c, by_gamma), r).gradient;
-                let found = tait_stress_gradient((rho, rho.ln(), rho.powf(gamma)), c, gamma);
+                let exact = p_over_rho2(tait(r, by_c, by_gamma), r).gradient;
+                let found = tait_p_over_rho2_gradient((rho, rho.ln(), rho.powf(gamma)), c, gamma);
                 let size = 1.0 + exact.iter().fold(0.0_f64, |size, x| size.max(x.abs()));
                 for (exact, found) in exact.into_iter().zip(found) {
                     assert!((exact - found).abs() < 1e-14 * size, "{exact} {found}");

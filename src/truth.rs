@@ -239,7 +239,7 @@ pub fn velocity_field<const D: usize>(
         position: positions[row as usize].to_3d(),
         velocity: state.velocities[row as usize].to_3d(),
         density: densities[row as usize],
-        stress: 0.0,
+        p_over_rho2: 0.0,
     };
     let packed: Vec<Packed> = cells.row_of_slot.iter().map(line).collect();
     let mass = space.length.powi(D as i32) / packed.len() as f64;

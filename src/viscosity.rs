@@ -28,7 +28,7 @@ pub struct Viscosity<T> {
 #[inline(always)]
 pub fn monaghan<T: Scalar>(pair: &Pair<T>, h: f64, by: &Viscosity<T>) -> T {
     // With μ = a/s multiplied out: one division instead of two.
-    let a = pair.approach.min(T::of(0.0)) * h;
+    let a = pair.v_dot_r.min(T::of(0.0)) * h;
     let s = pair.r2 + EPSILON * h * h;
     (by.beta * a - by.alpha * by.c * s) * a / (s * s * pair.mean_density())
 }
@@ -42,7 +42,7 @@ pub struct ViscosityGradient<T> {
     /// `∂Π/∂(r²)`.
     pub by_r2: T,
     /// `∂Π/∂(v·r)`.
-    pub by_approach: T,
+    pub by_v_dot_r: T,
     /// `∂Π/∂ρᵢ = ∂Π/∂ρⱼ`.
     pub by_density: T,
     /// `∂Π/∂(c, α, β)`.
@@ -64,15 +64,15 @@ pub fn monaghan_gradient<T: Scalar>(
     let (s, rho) = (pair.r2 + EPSILON * h * h, pair.mean_density());
     let both = T::of(1.0) / (s * rho);
     let (softened, inverse_density) = (both * rho * h, both * s);
-    let mu = pair.approach.min(zero) * softened;
+    let mu = pair.v_dot_r.min(zero) * softened;
     let linear = mu * inverse_density;
     let value = (by.beta * mu - by.alpha * by.c) * linear;
     let by_mu = (by.beta * mu * 2.0 - by.alpha * by.c) * inverse_density;
-    let by_approach = T::select_less(pair.approach, zero, by_mu * softened, zero);
+    let by_v_dot_r = T::select_less(pair.v_dot_r, zero, by_mu * softened, zero);
     ViscosityGradient {
         value,
-        by_r2: by_approach * mu * (-1.0 / h),
-        by_approach,
+        by_r2: by_v_dot_r * mu * (-1.0 / h),
+        by_v_dot_r,
         by_density: value * inverse_density * -0.5,
         by: Viscosity { c: -(by.alpha * linear), alpha: -(by.c * linear), beta: mu * linear },
         linear,
@@ -87,22 +87,22 @@ mod tests {
 
     #[test]
     fn gradient_by_hand_is_the_gradient_by_dual_numbers() {
-        for approach in [-0.8, -1e-9, 0.3] {
-            let x = [0.5, approach, 1.1, 0.9, 10.0, 1.0, 2.0];
+        for v_dot_r in [-0.8, -1e-9, 0.3] {
+            let x = [0.5, v_dot_r, 1.1, 0.9, 10.0, 1.0, 2.0];
             let d: [Dual<f64, 7>; 7] = std::array::from_fn(|k| Dual::variable(x[k], k, [0.0; 7]));
             let dual = monaghan(
-                &Pair { r2: d[0], approach: d[1], rho_i: d[2], rho_j: d[3] },
+                &Pair { r2: d[0], v_dot_r: d[1], rho_i: d[2], rho_j: d[3] },
                 0.3,
                 &Viscosity { c: d[4], alpha: d[5], beta: d[6] },
             );
             let hand = monaghan_gradient(
-                &Pair { r2: x[0], approach: x[1], rho_i: x[2], rho_j: x[3] },
+                &Pair { r2: x[0], v_dot_r: x[1], rho_i: x[2], rho_j: x[3] },
                 0.3,
                 &Viscosity { c: x[4], alpha: x[5], beta: x[6] },
             );
             let g = hand;
             let by_hand =
-                [g.by_r2, g.by_approach, g.by_density, g.by_density, g.by.c, g.by.alpha, g.by.beta];
+                [g.by_r2, g.by_v_dot_r, g.by_density, g.by_density, g.by.c, g.by.alpha, g.by.beta];
             assert!((hand.value - dual.value).abs() < 1e-15);
             for (a, b) in by_hand.iter().zip(dual.gradient) {
                 assert!((a - b).abs() <= 1e-14 * (1.0 + b.abs()), "{a} against {b}");

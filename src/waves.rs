@@ -6,7 +6,7 @@
 //! position: powers of `e^{ikx}` along each axis are multiplied up once per position, so that no
 //! wave needs a sine of its own.
 
-use crate::scalar::Lanes;
+use crate::scalar::F64x8;
 use crate::vector::Vector;
 use num_complex::Complex;
 
@@ -91,13 +91,13 @@ impl Waves {
     pub fn tangent<const D: usize>(
         &self,
         x: [f64; 3],
-        change: Vector<Lanes, D>,
-    ) -> Vector<Lanes, D> {
+        change: Vector<F64x8, D>,
+    ) -> Vector<F64x8, D> {
         let phases = self.phases(x);
-        let mut sum = Vector([Lanes::ZERO; D]);
+        let mut sum = Vector([F64x8::ZERO; D]);
         for wave in &self.list {
             let slope = self.slope::<D>(wave, phases.of(wave.n));
-            let mut along = Lanes::ZERO;
+            let mut along = F64x8::ZERO;
             (0..D).for_each(|axis| along += change[axis] * f64::from(wave.n[axis]));
             (0..D).for_each(|axis| sum[axis] += along * slope[axis]);
         }
@@ -209,7 +209,7 @@ mod tests {
         let direction = [0.4, -0.7, 0.2];
         let moved = |by: f64| waves.at::<3>(std::array::from_fn(|a| x[a] + by * direction[a]));
         let difference = (moved(step) - moved(-step)) * (0.5 / step);
-        let change = Vector(direction.map(|d| Lanes::unit(2) * d));
+        let change = Vector(direction.map(|d| F64x8::unit(2) * d));
         let tangent = waves.tangent(x, change).0.map(|lanes| lanes.lane(2));
         let adjoint = Vector([0.9, 0.1, -1.3]);
         // Central differences: step² k³ |u|/6 is about 1e-7.

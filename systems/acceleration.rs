@@ -4,15 +4,17 @@
 
 use super::near::Pairs;
 use super::neighbours::Neighbours;
-use super::particles::{AdjointCloud, Cloud, Rooms, SensitivityCloud, side_by_side};
+use super::particles::{AdjointCloud, Cloud, ScratchPool, SensitivityCloud, side_by_side};
 use super::term::{Contribution, ContributionKind, Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::models::{ForceOutput, Kept, Model, PairShare, Passed, Room, Slopes};
+use crate::models::{
+    ForceJacobian, ForceOutput, Model, PairShare, PullbackOutput, Scratch, TangentOptions,
+};
 use crate::near::Near;
 use crate::packed::PackedAdjoint;
-use crate::pairs::{AT_ONCE, CHUNK, Hood};
+use crate::pairs::{CHUNK, MAX_BLOCKS_PER_TASK, Neighbourhood};
 use crate::parameters::ParameterSpec;
-use crate::scalar::{Lanes, WIDTH};
+use crate::scalar::{F64x8, WIDTH};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -27,13 +29,13 @@ pub struct PairTerm<const D: usize> {
     /// Places of its parameters: scalars, then the weights of its network.
     pub places: Vec<usize>,
     /// Scratch buffers in which threads evaluate it.
-    pub rooms: Rooms,
+    pub scratch_pool: ScratchPool,
 }
 
 impl<const D: usize> PairTerm<D> {
     /// A law with parameters that have no places in the flat vector yet.
     pub fn new(name: impl Into<String>, model: Box<dyn Model<D>>) -> Self {
-        Self { name: name.into(), model, places: Vec::new(), rooms: Rooms::default() }
+        Self { name: name.into(), model, places: Vec::new(), scratch_pool: ScratchPool::default() }
     }
 
     /// Places of its scalar parameters.
@@ -139,7 +141,9 @@ impl<const D: usize> Term<D> for PairForces {
             .map(|(part, name)| {
                 let chunks = accelerations.par_chunks_mut(CHUNK).enumerate();
                 chunks.for_each(|(chunk, out)| {
-                    pairs.meet(chunk, law, |hood, room| law.model.part(part, hood, room, out));
+                    pairs.meet(chunk, law, |neighbourhood, scratch| {
+                        law.model.part(part, neighbourhood, scratch, out)
+                    });
                 });
                 let name = format!("{}: {name}", self.name);
                 let kind = match (self.law, part) {
@@ -166,12 +170,12 @@ pub fn accelerate<const D: usize>(
     let mut acceleration = std::mem::take(&mut cloud.acceleration);
     let pairs = cloud.pairs(&neighbours);
     for (number, law) in laws.all().enumerate() {
-        law.rooms.make_room(&*law.model, pairs.fullest());
+        law.scratch_pool.make_room(&*law.model, pairs.fullest());
         let chunks = acceleration.par_chunks_mut(CHUNK).enumerate();
-        chunks.with_max_len(AT_ONCE).for_each(|(chunk, accelerations)| {
-            pairs.meet(chunk, law, |hood, room| {
+        chunks.with_max_len(MAX_BLOCKS_PER_TASK).for_each(|(chunk, accelerations)| {
+            pairs.meet(chunk, law, |neighbourhood, scratch| {
                 let out = ForceOutput { accelerations, add: number > 0 };
-                law.model.accelerations(hood, room, out);
+                law.model.accelerations(neighbourhood, scratch, out);
             });
         });
     }
@@ -204,7 +208,7 @@ fn add_tangent<const D: usize>(
     sensitivities: &mut SensitivityCloud<D>,
 ) {
     let model = &*law.model;
-    let SensitivityCloud { blocks, coupling, stress_slopes, slopes, .. } = sensitivities;
+    let SensitivityCloud { blocks, coupling, p_over_rho2_slopes, slopes, .. } = sensitivities;
     let coupling = *coupling;
     let (mut packed, mut directions, mut weights) = (Vec::new(), Vec::new(), Vec::new());
     let mut changes = Vec::new();
@@ -214,22 +218,24 @@ fn add_tangent<const D: usize>(
         weights.push(&block.weights[number][..]);
         changes.push(&mut block.acceleration[..]);
     }
-    let direct = directions.iter().any(|of| of.iter().any(|d| *d != Lanes::ZERO));
+    let direct = directions.iter().any(|of| of.iter().any(|d| *d != F64x8::ZERO));
     let has_network = model.network().is_some() && model.has_force_network();
     if has_network {
         let columns = changes.iter_mut().map(|column| &mut **column).collect();
         side_by_side(columns).into_par_iter().enumerate().for_each(|(chunk, columns)| {
-            pairs.meet(chunk, law, |hood, room| {
-                add_shares(law, (hood, room), (columns, number > 0), &weights);
+            pairs.meet(chunk, law, |neighbourhood, scratch| {
+                add_shares(law, (neighbourhood, scratch), (columns, number > 0), &weights);
             });
         });
     }
-    slopes.resize_with(pairs.chunks().min(WINDOW), Slopes::default);
+    slopes.resize_with(pairs.chunks().min(WINDOW), ForceJacobian::default);
     for window in (0..pairs.chunks()).step_by(WINDOW) {
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *slopes).for_each(|(chunk, slopes)| {
-            let kept = Kept { coupling, direct, stress_slopes };
-            pairs.meet(chunk, law, |hood, room| model.slopes(hood, kept, room, slopes));
+            let kept = TangentOptions { coupling, direct, p_over_rho2_slopes };
+            pairs.meet(chunk, law, |neighbourhood, scratch| {
+                model.slopes(neighbourhood, kept, scratch, slopes)
+            });
         });
         changes.par_iter_mut().enumerate().for_each(|(block, changes)| {
             let packed = [packed[block], packed.get(block + 1).copied().unwrap_or_default()];
@@ -237,7 +243,7 @@ fn add_tangent<const D: usize>(
             let chunks = columns.zip(&*slopes).zip(chunks.clone());
             chunks.for_each(|((out, slopes), chunk)| {
                 if !has_network && number == 0 {
-                    out.fill(Vector([Lanes::ZERO; D]));
+                    out.fill(Vector([F64x8::ZERO; D]));
                 }
                 slopes.add_tangents(chunk * CHUNK, packed, directions[block], out);
             });
@@ -250,21 +256,21 @@ fn add_tangent<const D: usize>(
 /// the cache.
 fn add_shares<const D: usize>(
     law: &PairTerm<D>,
-    (hood, room): (Hood<'_>, &mut Room),
-    (mut blocks, add): (Vec<&mut [Vector<Lanes, D>]>, bool),
+    (neighbourhood, scratch): (Neighbourhood<'_>, &mut Scratch),
+    (mut blocks, add): (Vec<&mut [Vector<F64x8, D>]>, bool),
     weights: &[&[(usize, usize)]],
 ) {
     let count = law.model.network().map_or(0, |network| network.weights.len());
-    let mut shares = std::mem::take(&mut room.shares);
-    for first in (0..hood.near.len()).step_by(WIDTH) {
-        let particles = first..(first + WIDTH).min(hood.near.len());
+    let mut shares = std::mem::take(&mut scratch.shares);
+    for first in (0..neighbourhood.near.len()).step_by(WIDTH) {
+        let particles = first..(first + WIDTH).min(neighbourhood.near.len());
         shares.resize(particles.len() * D * count, 0.0);
-        law.model.weight_shares(hood, first, room, &mut shares);
+        law.model.weight_shares(neighbourhood, first, scratch, &mut shares);
         for (out, weights) in blocks.iter_mut().zip(weights) {
             let rows = out[particles.clone()].iter_mut().zip(shares.chunks_exact(D * count));
             for (a, shares) in rows {
                 if !add {
-                    *a = Vector([Lanes::ZERO; D]);
+                    *a = Vector([F64x8::ZERO; D]);
                 }
                 for &(lane, weight) in *weights {
                     for axis in 0..D {
@@ -275,7 +281,7 @@ fn add_shares<const D: usize>(
             }
         }
     }
-    room.shares = shares;
+    scratch.shares = shares;
 }
 
 /// System: the pullback of [`accelerate`].
@@ -310,11 +316,11 @@ fn pull_back<const D: usize>(law: &PairTerm<D>, pairs: Pairs<'_>, adjoint: &mut 
             let (((position, velocity), scalars), neighbours) = place;
             let places = if one_way { WIDTH * near.batches() } else { 0 };
             neighbours.resize(places, PairShare::ZERO);
-            let into = Passed { position, velocity, scalars, neighbours };
-            law.rooms.enter(&*law.model, |room| {
-                room.clear();
-                law.model.pull_back(pairs.hood(near), forces, room, into);
-                room.write_sums(sums);
+            let into = PullbackOutput { position, velocity, scalars, neighbours };
+            law.scratch_pool.enter(&*law.model, |scratch| {
+                scratch.clear();
+                law.model.pull_back(pairs.neighbourhood(near), forces, scratch, into);
+                scratch.write_sums(sums);
             });
         });
     });
@@ -329,7 +335,7 @@ fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
             let share = &shares[chunk as usize][place as usize];
             *position += share.position;
             *velocity += share.velocity;
-            scalars.0 += share.stress;
+            scalars.0 += share.p_over_rho2;
             scalars.1 += share.density;
         }
     });
@@ -338,7 +344,7 @@ fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
 /// The neighbour lists transposed: for each particle, the lists that contain it and its place in
 /// them.
 #[derive(Clone, Debug, Default)]
-pub struct Senders {
+pub struct TransposedLists {
     /// Whether `start` and `places` belong to the current lists.
     known: bool,
     /// Index in `places` of each slot's first entry, and the total at the end.
@@ -347,7 +353,7 @@ pub struct Senders {
     places: Vec<[u32; 2]>,
 }
 
-impl Senders {
+impl TransposedLists {
     /// Marks the transposed lists as outdated.
     pub(super) fn forget(&mut self) {
         self.known = false;

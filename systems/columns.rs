@@ -1,14 +1,14 @@
 //! Columns that a term adds to all particles: spawned, reset, kept in snapshots and counted in the
 //! same way.
 
-use super::particles::Identity;
+use super::particles::ParticleId;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
 use std::any::Any;
 use std::fmt::{self, Debug};
 
 /// A snapshot of a column: one value for each particle, particle `k` in row `k`.
-pub type Kept = Box<dyn Any + Send + Sync>;
+pub type TangentOptions = Box<dyn Any + Send + Sync>;
 
 /// A component that every particle carries.
 #[derive(Clone, Copy)]
@@ -17,8 +17,8 @@ pub struct Column {
     bytes: usize,
     spawn: fn(&mut World),
     forget: fn(&mut World),
-    keep: fn(&mut World) -> Kept,
-    restore: fn(&mut World, &Kept),
+    keep: fn(&mut World) -> TangentOptions,
+    restore: fn(&mut World, &TangentOptions),
 }
 
 impl Debug for Column {
@@ -34,16 +34,16 @@ impl Column {
             name: std::any::type_name::<T>(),
             bytes: size_of::<T>(),
             spawn: |world| {
-                let mut particles = world.query_filtered::<Entity, With<Identity>>();
+                let mut particles = world.query_filtered::<Entity, With<ParticleId>>();
                 let all: Vec<Entity> = particles.iter(world).collect();
                 world.insert_batch(all.into_iter().map(|entity| (entity, T::default())));
             },
             forget: |world| {
-                let mut rows = world.query_filtered::<&mut T, With<Identity>>();
+                let mut rows = world.query_filtered::<&mut T, With<ParticleId>>();
                 rows.iter_mut(world).for_each(|mut value| *value = T::default());
             },
             keep: |world| {
-                let mut rows = world.query::<(&Identity, &T)>();
+                let mut rows = world.query::<(&ParticleId, &T)>();
                 let mut all: Vec<(u32, T)> =
                     rows.iter(world).map(|(id, value)| (id.0, value.clone())).collect();
                 all.sort_unstable_by_key(|(id, _)| *id);
@@ -51,7 +51,7 @@ impl Column {
             },
             restore: |world, kept| {
                 let Some(kept) = kept.downcast_ref::<Vec<T>>() else { return };
-                let mut rows = world.query::<(&Identity, &mut T)>();
+                let mut rows = world.query::<(&ParticleId, &mut T)>();
                 for (id, mut value) in rows.iter_mut(world) {
                     if let Some(kept) = kept.get(id.0 as usize) {
                         value.clone_from(kept);
@@ -82,12 +82,12 @@ impl Column {
     }
 
     /// A copy of the values, for [`Self::restore`].
-    pub(crate) fn keep(&self, world: &mut World) -> Kept {
+    pub(crate) fn keep(&self, world: &mut World) -> TangentOptions {
         (self.keep)(world)
     }
 
     /// Restores the values of a copy.
-    pub(crate) fn restore(&self, world: &mut World, kept: &Kept) {
+    pub(crate) fn restore(&self, world: &mut World, kept: &TangentOptions) {
         (self.restore)(world, kept);
     }
 }

@@ -4,20 +4,22 @@
 
 use super::acceleration::{Laws, PairTerm, WINDOW};
 use super::density_tangent::{
-    DensityTangent, Pulls, PullsPass, StressColumns, StressTangent, density_by_kernel,
+    DensityJacobian, DensityTangent, PressureTangent, PullsPass, StressColumns, density_by_kernel,
 };
 use super::near::Pairs;
 use super::neighbours::Neighbours;
 use super::particles::{
-    AdjointCloud, Cloud, Density, Identity, SensitivityBlock, SensitivityCloud, side_by_side,
+    AdjointCloud, Cloud, Density, ParticleId, SensitivityBlock, SensitivityCloud, side_by_side,
 };
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::cells::FEWEST;
-use crate::models::{FluidConstants, Medium, Model, Room};
+use crate::cells::MIN_PARALLEL_LEN;
+use crate::models::{FluidConstants, Medium, Model, Scratch};
 use crate::packed::{Packed, PackedAdjoint};
-use crate::pairs::{AHEAD, AT_ONCE, CHUNK, Chunk, Entry, Hood, Lines, adjoints, separation};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, dispatch_by_kernel};
+use crate::pairs::{
+    AHEAD, CHUNK, Chunk, Entry, Lines, MAX_BLOCKS_PER_TASK, Neighbourhood, adjoints, separation,
+};
+use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch, dispatch_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -35,7 +37,7 @@ impl<const D: usize> Term<D> for DensitySummation {
     /// The force evaluation that begins a step uses the densities at the end of the step before,
     /// and passes its derivatives to them.
     fn stages(&self, occasion: Occasion, _: &Needs) -> Vec<Stage> {
-        if occasion == Occasion::Refresh {
+        if occasion == Occasion::Reevaluate {
             return vec![Stage::backwards(Phase::Density, carry_density_pullback::<D>)];
         }
         let sum = (sum_density::<D>, write_density::<D>).chain();
@@ -55,18 +57,18 @@ struct DensityPass<'a, const D: usize> {
     masks: &'a mut [u8],
 }
 
-impl<const D: usize> Pass for DensityPass<'_, D> {
+impl<const D: usize> SimdTask for DensityPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         if self.chunk.is_short() { self.sweep::<W, u16>() } else { self.sweep::<W, u32>() }
     }
 }
 
 impl<const D: usize> DensityPass<'_, D> {
     #[inline(always)]
-    fn sweep<W: Wide, E: Entry>(self) {
+    fn sweep<W: SimdFloat, E: Entry>(self) {
         let Self { lines, chunk, space, .. } = self;
         let smoothing = &self.medium.smoothing;
         let own = smoothing.value(0.0);
@@ -93,14 +95,14 @@ pub fn sum_density<const D: usize>(
     laws: Res<Laws<D>>,
     mut cloud: ResMut<Cloud<D>>,
 ) {
-    let (model, rooms) = (laws.model(), &laws.model.rooms);
+    let (model, scratch_pool) = (laws.model(), &laws.model.scratch_pool);
     let (space, medium) = (neighbours.space, model.medium());
     let (mut density, mut masks) =
         (std::mem::take(&mut cloud.density), std::mem::take(&mut cloud.masks));
     masks.resize_with(neighbours.chunks.len(), Vec::new);
     let lines = cloud.lines();
     let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(&mut masks);
-    chunks.with_max_len(AT_ONCE).for_each(|((chunk, density), masks)| {
+    chunks.with_max_len(MAX_BLOCKS_PER_TASK).for_each(|((chunk, density), masks)| {
         chunk.make_masks(masks);
         let pass = DensityPass { lines, chunk, space, medium, density, masks };
         dispatch_by_kernel(medium.smoothing.is_table(), lines.precision, pass);
@@ -111,20 +113,20 @@ pub fn sum_density<const D: usize>(
     let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {
         lines.iter_mut().zip(density).for_each(|(line, &rho)| line.density = rho);
-        if model.has_stress() {
-            rooms.enter(model, |room| find_stress(model, lines, room));
+        if model.has_pressure() {
+            scratch_pool.enter(model, |scratch| find_p_over_rho2(model, lines, scratch));
         }
     });
-    let lines = singles.par_iter_mut().zip(&packed[..count]).with_min_len(FEWEST);
+    let lines = singles.par_iter_mut().zip(&packed[..count]).with_min_len(MIN_PARALLEL_LEN);
     lines.for_each(|(single, line)| {
-        (single.density, single.stress) = (line.density as f32, line.stress as f32);
+        (single.density, single.p_over_rho2) = (line.density as f32, line.p_over_rho2 as f32);
     });
 }
 
 /// Densities of up to eight particles; 1 in unused lanes.
 #[inline(always)]
-pub(super) fn densities(lines: &[Packed]) -> Lanes {
-    let mut rho = Lanes::of(1.0);
+pub(super) fn densities(lines: &[Packed]) -> F64x8 {
+    let mut rho = F64x8::of(1.0);
     for (lane, line) in lines.iter().enumerate() {
         rho.set_lane(lane, line.density);
     }
@@ -132,23 +134,27 @@ pub(super) fn densities(lines: &[Packed]) -> Lanes {
 }
 
 /// `A(ρ)` of some particles.
-fn find_stress<const D: usize>(model: &dyn Model<D>, lines: &mut [Packed], room: &mut Room) {
+fn find_p_over_rho2<const D: usize>(
+    model: &dyn Model<D>,
+    lines: &mut [Packed],
+    scratch: &mut Scratch,
+) {
     for lines in lines.chunks_mut(WIDTH) {
-        let stress = model.stress(densities(lines), room);
+        let p_over_rho2 = model.p_over_rho2(densities(lines), scratch);
         for (lane, line) in lines.iter_mut().enumerate() {
-            line.stress = stress.lane(lane);
+            line.p_over_rho2 = p_over_rho2.lane(lane);
         }
     }
 }
 
 /// System: writes the densities back to the particles.
 pub fn write_density<const D: usize>(
-    mut densities: Query<(&Identity, &mut Density)>,
+    mut densities: Query<(&ParticleId, &mut Density)>,
     cloud: Res<Cloud<D>>,
 ) {
     let slots = &cloud.slot_of_row[..];
     for (ids, mut column) in densities.contiguous_iter_mut().into_iter().flatten() {
-        let rows = column.par_iter_mut().zip(ids).with_min_len(FEWEST);
+        let rows = column.par_iter_mut().zip(ids).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(density, id)| {
             if let Some(&slot) = slots.get(id.0 as usize) {
                 density.0 = cloud.density[slot as usize];
@@ -167,22 +173,22 @@ pub fn sum_density_tangent<const D: usize>(
     let (law, pairs) = (&laws.model, cloud.pairs(&neighbours));
     let model = laws.model();
     let (medium, precision) = (model.medium(), cloud.precision);
-    let SensitivityCloud { blocks, coupling, stress_slopes, pulls, .. } = &mut *sensitivities;
-    stress_slopes.resize(cloud.len(), 0.0);
+    let SensitivityCloud { blocks, coupling, p_over_rho2_slopes, pulls, .. } = &mut *sensitivities;
+    p_over_rho2_slopes.resize(cloud.len(), 0.0);
     let coupling = *coupling;
-    pulls.resize_with(pairs.chunks().min(WINDOW), Pulls::default);
+    pulls.resize_with(pairs.chunks().min(WINDOW), DensityJacobian::default);
     let (mut packed, mut changes, mut shapes) = (Vec::new(), Vec::new(), Vec::new());
     for SensitivityBlock { packed: lines, density, directions, .. } in &mut *blocks {
         packed.push(&lines[..]);
         changes.push(density);
         shapes.push(kernel_of(model, &directions[0]));
     }
-    let shape = shapes.iter().any(|of| of.iter().any(|direction| *direction != Lanes::ZERO));
+    let shape = shapes.iter().any(|of| of.iter().any(|direction| *direction != F64x8::ZERO));
     for window in (0..pairs.chunks()).step_by(WINDOW) {
         let chunks = window..(window + WINDOW).min(pairs.chunks());
         chunks.clone().into_par_iter().zip(&mut *pulls).for_each(|(chunk, into)| {
-            pairs.meet(chunk, law, |hood, _| {
-                let pass = PullsPass { hood, medium, coupling, shape, into };
+            pairs.meet(chunk, law, |neighbourhood, _| {
+                let pass = PullsPass { neighbourhood, medium, coupling, shape, into };
                 dispatch_by_kernel(medium.smoothing.is_table(), precision, pass);
             });
         });
@@ -206,29 +212,29 @@ pub fn sum_density_tangent<const D: usize>(
         columns.push(StressColumns { density, directions, weights });
     }
     let chunks = side_by_side(packed).into_par_iter().zip(cloud.particles().par_chunks(CHUNK));
-    let chunks = chunks.zip(stress_slopes.par_chunks_mut(CHUNK)).enumerate();
+    let chunks = chunks.zip(p_over_rho2_slopes.par_chunks_mut(CHUNK)).enumerate();
     chunks.for_each(|(chunk, ((lines, particles), slopes))| {
-        law.rooms.enter(model, |room| {
+        law.scratch_pool.enter(model, |scratch| {
             let (first, columns, into) = (chunk * CHUNK, &columns[..], (lines, slopes));
-            StressTangent { model, first, columns, particles, into, room }.run();
+            PressureTangent { model, first, columns, particles, into, scratch }.run();
         });
     });
 }
 
 /// `∂L/∂rᵢ += Σⱼ m G rᵢⱼ (∂L/∂ρᵢ + ∂L/∂ρⱼ)` over one chunk of particles.
 struct DensityPullback<'a, const D: usize> {
-    hood: Hood<'a>,
+    neighbourhood: Neighbourhood<'a>,
     adjoint: &'a [PackedAdjoint],
     medium: &'a Medium<D>,
     position: &'a mut [Vector<f64, D>],
 }
 
-impl<const D: usize> Pass for DensityPullback<'_, D> {
+impl<const D: usize> SimdTask for DensityPullback<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Hood { lines, near, space } = self.hood;
+    fn run<W: SimdFloat>(self) {
+        let Neighbourhood { lines, near, space } = self.neighbourhood;
         let Medium { smoothing, mass, .. } = self.medium;
         for (k, position) in self.position.iter_mut().enumerate() {
             let slot = near.first + k;
@@ -237,7 +243,7 @@ impl<const D: usize> Pass for DensityPullback<'_, D> {
             let space = near.around(k, space);
             for eight in near.neighbours(k) {
                 let r = separation::<W, D>(lines, slot, eight, space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
+                let pull = smoothing.dw_over_r(r.norm_squared().sqrt()) * *mass;
                 let [.., density] = adjoints::<W>(self.adjoint, eight);
                 let both = pull.widen() * (density + own);
                 for axis in 0..D {
@@ -260,16 +266,16 @@ pub fn sum_density_pullback<const D: usize>(
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let (law, model) = (&laws.model, laws.model());
-    let places = if model.has_stress_network() { &law.places } else { law.scalars() };
+    let places = if model.has_p_over_rho2_network() { &law.places } else { law.scalars() };
     adjoint.sum_parameters(places, |adjoint, sums, width| {
         let AdjointCloud { packed: lines, scalars, .. } = adjoint;
         let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
         let chunks = chunks.zip(sums.par_chunks_mut(width));
         lines[..cloud.len()].par_chunks_mut(CHUNK).zip(chunks).for_each(|(lines, (rows, sums))| {
-            law.rooms.enter(model, |room| {
-                room.clear();
-                pull_stress_back(model, room, rows, lines);
-                room.write_sums(sums);
+            law.scratch_pool.enter(model, |scratch| {
+                scratch.clear();
+                pull_p_over_rho2_back(model, scratch, rows, lines);
+                scratch.write_sums(sums);
             });
         });
     });
@@ -277,8 +283,8 @@ pub fn sum_density_pullback<const D: usize>(
     let AdjointCloud { packed: by_density, position, near, .. } = &mut *adjoint;
     let (pairs, adjoint, medium) = (cloud.pairs(&neighbours), &by_density[..], model.medium());
     near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(near, position)| {
-        let hood = pairs.hood(near);
-        let pass = DensityPullback { hood, adjoint, medium, position };
+        let neighbourhood = pairs.neighbourhood(near);
+        let pass = DensityPullback { neighbourhood, adjoint, medium, position };
         dispatch_by_kernel(medium.smoothing.is_table(), cloud.precision, pass);
     });
 }
@@ -304,7 +310,7 @@ fn pull_back_to_kernel<const D: usize>(
         let lines = near.par_iter().zip(packed.par_chunks(CHUNK));
         lines.zip(sums.par_chunks_mut(width)).for_each(|((near, lines), sums)| {
             sums.fill(0.0);
-            let by = density_by_kernel(pairs.hood(near), medium);
+            let by = density_by_kernel(pairs.neighbourhood(near), medium);
             for (line, by) in lines.iter().zip(by.chunks_exact(width)) {
                 sums.iter_mut().zip(by).for_each(|(sum, by)| *sum += line.density * by);
             }
@@ -328,21 +334,21 @@ type Rows<'a> = (&'a [(f64, f64)], &'a [Packed]);
 
 /// `∂L/∂ρᵢ` of some particles, directly and through `A(ρ)`. The sums over parameters go to the
 /// scratch buffer.
-fn pull_stress_back<const D: usize>(
+fn pull_p_over_rho2_back<const D: usize>(
     model: &dyn Model<D>,
-    room: &mut Room,
+    scratch: &mut Scratch,
     (scalars, particles): Rows<'_>,
     lines: &mut [PackedAdjoint],
 ) {
     let rows = lines.chunks_mut(WIDTH).zip(scalars.chunks(WIDTH)).zip(particles.chunks(WIDTH));
     for ((lines, scalars), particles) in rows {
-        let mut by_density = Lanes::ZERO;
-        if model.has_stress() {
-            let mut stress = Lanes::ZERO;
+        let mut by_density = F64x8::ZERO;
+        if model.has_pressure() {
+            let mut p_over_rho2 = F64x8::ZERO;
             for (lane, scalar) in scalars.iter().enumerate() {
-                stress.set_lane(lane, scalar.0);
+                p_over_rho2.set_lane(lane, scalar.0);
             }
-            by_density = model.stress_pullback(densities(particles), stress, room);
+            by_density = model.p_over_rho2_pullback(densities(particles), p_over_rho2, scratch);
         }
         for (lane, (line, scalar)) in lines.iter_mut().zip(scalars).enumerate() {
             line.density = scalar.1 + by_density.lane(lane);

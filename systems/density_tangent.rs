@@ -1,17 +1,17 @@
 //! The coefficients of the tangent of the density and of `A(ρ)`.
 
 use super::density::densities;
-use crate::models::{Medium, Model, Room};
+use crate::models::{Medium, Model, Scratch};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::pairs::{Eight, Hood, separation};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch, transposed};
+use crate::pairs::{Eight, Neighbourhood, separation};
+use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch, transposed};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 
 /// The coefficients of the density tangent of a chunk of particles, the same for every block of
 /// parameters: `δρᵢ = (Σⱼ m G rᵢⱼ)·δrᵢ − Σⱼ m G rᵢⱼ·δrⱼ`.
 #[derive(Clone, Debug, Default)]
-pub struct Pulls<const D: usize> {
+pub struct DensityJacobian<const D: usize> {
     /// `Σⱼ m G rᵢⱼ` of each particle.
     own: Vec<[f64; D]>,
     /// `∂ρᵢ/∂p = Σⱼ m ∂W/∂p`, self term included, for each particle and each learned parameter `p`
@@ -27,7 +27,7 @@ pub struct Pulls<const D: usize> {
     filled: usize,
 }
 
-impl<const D: usize> Pulls<D> {
+impl<const D: usize> DensityJacobian<D> {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         size_of::<[f64; D]>() * (self.own.capacity() + self.pulls.capacity())
@@ -37,7 +37,7 @@ impl<const D: usize> Pulls<D> {
 
     /// Adds up to eight pairs. Sentinels, which come last, are not counted.
     #[inline(always)]
-    fn push(&mut self, others: Eight<'_, u32>, nobody: usize, pulls: &[Lanes; D]) {
+    fn push(&mut self, others: Eight<'_, u32>, sentinel: usize, pulls: &[F64x8; D]) {
         let end = self.filled + WIDTH;
         if self.slots.len() < end {
             self.slots.resize(end * 9 / 8, 0);
@@ -50,31 +50,37 @@ impl<const D: usize> Pulls<D> {
             }
         }
         // The next call overwrites the sentinels.
-        self.filled += others.count(nobody);
+        self.filled += others.count(sentinel);
     }
 }
 
-/// Finds the [`Pulls`] of a chunk.
+/// Finds the [`DensityJacobian`] of a chunk.
 pub(super) struct PullsPass<'a, const D: usize> {
-    pub(super) hood: Hood<'a>,
+    pub(super) neighbourhood: Neighbourhood<'a>,
     pub(super) medium: &'a Medium<D>,
     pub(super) coupling: Coupling,
     /// Whether parameters of the kernel are learned.
     pub(super) shape: bool,
-    pub(super) into: &'a mut Pulls<D>,
+    pub(super) into: &'a mut DensityJacobian<D>,
 }
 
-impl<const D: usize> Pass for PullsPass<'_, D> {
+impl<const D: usize> SimdTask for PullsPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { hood: Hood { lines, near, space }, medium, coupling, shape, into } = self;
+    fn run<W: SimdFloat>(self) {
+        let Self {
+            neighbourhood: Neighbourhood { lines, near, space },
+            medium,
+            coupling,
+            shape,
+            into,
+        } = self;
         let Medium { smoothing, mass, .. } = medium;
         into.own.clear();
         into.by_kernel.clear();
         if shape {
-            into.by_kernel.extend(density_by_kernel(self.hood, medium));
+            into.by_kernel.extend(density_by_kernel(self.neighbourhood, medium));
         }
         into.filled = 0;
         into.start.clear();
@@ -84,15 +90,15 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
             let mut sum = Vector::<W::Double, D>::zero();
             for eight in near.neighbours(k) {
                 let r = separation::<W, D>(lines, near.first + k, eight, space);
-                let pull = smoothing.gradient(r.norm_squared().sqrt()) * *mass;
-                let mut pulls = [Lanes::ZERO; D];
+                let pull = smoothing.dw_over_r(r.norm_squared().sqrt()) * *mass;
+                let mut pulls = [F64x8::ZERO; D];
                 for axis in 0..D {
                     let along = (r[axis] * pull).widen();
                     pulls[axis] = along.store();
                     sum[axis] += along;
                 }
                 if coupling == Coupling::Full {
-                    into.push(eight, lines.nobody(), &pulls);
+                    into.push(eight, lines.sentinel(), &pulls);
                 }
             }
             let mut own = [0.0; D];
@@ -108,17 +114,20 @@ impl<const D: usize> Pass for PullsPass<'_, D> {
 /// `∂ρ/∂p = Σⱼ m ∂W/∂p` of a chunk of particles by each parameter of the kernel, self term
 /// included, particle by particle. Not vectorised by instruction set: only learnable kernels need
 /// it.
-pub(super) fn density_by_kernel<const D: usize>(hood: Hood<'_>, medium: &Medium<D>) -> Vec<f64> {
-    let Hood { lines, near, space } = hood;
+pub(super) fn density_by_kernel<const D: usize>(
+    neighbourhood: Neighbourhood<'_>,
+    medium: &Medium<D>,
+) -> Vec<f64> {
+    let Neighbourhood { lines, near, space } = neighbourhood;
     let Medium { smoothing, mass, .. } = medium;
     let count = medium.kernel_scalars();
     let mut sums = Vec::with_capacity(near.len() * count);
     for k in 0..near.len() {
         let around = near.around(k, space);
         for parameter in 0..count {
-            let mut sum = Lanes::ZERO;
+            let mut sum = F64x8::ZERO;
             for eight in near.neighbours(k) {
-                let r = separation::<Lanes, D>(lines, near.first + k, eight, around);
+                let r = separation::<F64x8, D>(lines, near.first + k, eight, around);
                 sum += smoothing.value_by(parameter, r.norm_squared().sqrt());
             }
             sums.push(mass * (smoothing.value_by(parameter, 0.0) + sum.sum()));
@@ -130,20 +139,20 @@ pub(super) fn density_by_kernel<const D: usize>(hood: Hood<'_>, medium: &Medium<
 /// `δρ` of one chunk of particles for one block of parameters; prefetches the sensitivities of the
 /// `next` block.
 pub(super) struct DensityTangent<'a, const D: usize> {
-    pub(super) pulls: &'a Pulls<D>,
+    pub(super) pulls: &'a DensityJacobian<D>,
     /// `∂(the kernel's parameters)/∂(the eight learned parameters)`.
-    pub(super) shape: &'a [Lanes],
+    pub(super) shape: &'a [F64x8],
     pub(super) first: usize,
     pub(super) sensitivity: &'a [PackedSensitivity<D>],
     pub(super) next: &'a [PackedSensitivity<D>],
-    pub(super) density: &'a mut [Lanes],
+    pub(super) density: &'a mut [F64x8],
 }
 
-impl<const D: usize> Pass for DensityTangent<'_, D> {
+impl<const D: usize> SimdTask for DensityTangent<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { pulls, shape, first, sensitivity, next, density } = self;
         for (k, density) in density.iter_mut().enumerate() {
             if let Some(next) = next.get(first + k) {
@@ -175,46 +184,46 @@ impl<const D: usize> Pass for DensityTangent<'_, D> {
 /// The columns of one block of parameters from which `δA` follows.
 pub(super) struct StressColumns<'a> {
     /// `δρ` per slot.
-    pub(super) density: &'a [Lanes],
+    pub(super) density: &'a [F64x8],
     /// `∂(the model's scalar parameters)/∂(the eight learned parameters)`.
-    pub(super) directions: &'a [Lanes],
+    pub(super) directions: &'a [F64x8],
     /// `(lane, place in the network)` of the block's weights.
     pub(super) weights: &'a [(usize, usize)],
 }
 
 /// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters. `A(ρ)` is
 /// differentiated once for all blocks.
-pub(super) struct StressTangent<'a, 'b, const D: usize> {
+pub(super) struct PressureTangent<'a, 'b, const D: usize> {
     pub(super) model: &'a dyn Model<D>,
     /// Slot of the first particle.
     pub(super) first: usize,
     pub(super) columns: &'a [StressColumns<'a>],
     pub(super) particles: &'a [Packed],
     pub(super) into: (Vec<&'b mut [PackedSensitivity<D>]>, &'b mut [f64]),
-    pub(super) room: &'a mut Room,
+    pub(super) scratch: &'a mut Scratch,
 }
 
-impl<const D: usize> StressTangent<'_, '_, D> {
+impl<const D: usize> PressureTangent<'_, '_, D> {
     pub(super) fn run(self) {
-        let Self { model, first, columns, particles, into: (mut blocks, slopes), room } = self;
+        let Self { model, first, columns, particles, into: (mut blocks, slopes), scratch } = self;
         let some_weights = columns.iter().any(|block| !block.weights.is_empty());
-        let with_weights = some_weights && model.has_stress_network();
+        let with_weights = some_weights && model.has_p_over_rho2_network();
         let rows = slopes.chunks_mut(WIDTH).zip(particles.chunks(WIDTH));
         for (number, (slopes, particles)) in rows.enumerate() {
             let rho = densities(particles);
-            let by_density = model.stress_slope(rho, room);
+            let by_density = model.p_over_rho2_slope(rho, scratch);
             if with_weights {
-                model.stress_weights(rho, room);
+                model.p_over_rho2_weights(rho, scratch);
             }
             for (lane, slope) in slopes.iter_mut().enumerate() {
                 *slope = by_density.lane(lane);
             }
-            let by_weight = with_weights.then_some(&room.weights[..]);
+            let by_weight = with_weights.then_some(&scratch.weights[..]);
             for (lines, columns) in blocks.iter_mut().zip(columns) {
                 let lines = &mut lines[number * WIDTH..][..slopes.len()];
                 let density = &columns.density[first + number * WIDTH..];
-                let stress = (by_density, &room.stress_by[..]);
-                dispatch(Fill { columns, density, lines, stress, by_weight });
+                let p_over_rho2 = (by_density, &scratch.p_over_rho2_by[..]);
+                dispatch(Fill { columns, density, lines, p_over_rho2, by_weight });
             }
         }
     }
@@ -223,20 +232,21 @@ impl<const D: usize> StressTangent<'_, '_, D> {
 /// Writes `δρ` and `δA` of up to eight particles for one block of parameters.
 struct Fill<'a, const D: usize> {
     columns: &'a StressColumns<'a>,
-    density: &'a [Lanes],
+    density: &'a [F64x8],
     lines: &'a mut [PackedSensitivity<D>],
     /// `∂A/∂ρ`, and `∂A` by each of the model's scalar parameters.
-    stress: (Lanes, &'a [Lanes]),
-    by_weight: Option<&'a [Lanes]>,
+    p_over_rho2: (F64x8, &'a [F64x8]),
+    by_weight: Option<&'a [F64x8]>,
 }
 
-impl<const D: usize> Pass for Fill<'_, D> {
+impl<const D: usize> SimdTask for Fill<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { columns, density, lines, stress: (by_density, by_parameter), by_weight } = self;
-        let mut direct = [Lanes::ZERO; WIDTH];
+    fn run<W: SimdFloat>(self) {
+        let Self { columns, density, lines, p_over_rho2: (by_density, by_parameter), by_weight } =
+            self;
+        let mut direct = [F64x8::ZERO; WIDTH];
         if let Some(by_weight) = by_weight {
             for &(column, weight) in columns.weights {
                 direct[column] = by_weight[weight];
@@ -249,7 +259,7 @@ impl<const D: usize> Pass for Fill<'_, D> {
                 change += W::Double::load(direction) * slope.lane(lane);
             }
             line.density = *density;
-            line.stress = (change + direct[lane]).store();
+            line.p_over_rho2 = (change + direct[lane]).store();
         }
     }
 }

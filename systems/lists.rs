@@ -8,8 +8,8 @@
 use crate::cells::Cells;
 use crate::chunk::FEW;
 use crate::packed::PackedSingle;
-use crate::pairs::{CHUNK, Chunk, Draft, Entry, Lists};
-use crate::scalar::{Pass, WIDTH, Wide, Window};
+use crate::pairs::{CHUNK, Chunk, Entry, ListBuilder, Lists};
+use crate::scalar::{SimdFloat, SimdTask, WIDTH, Window};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 
@@ -19,7 +19,7 @@ type Words = [u32; 2 * WIDTH];
 /// The candidates near one cell: every particle that may be in reach of one of the cell's
 /// particles.
 #[derive(Clone, Debug, Default)]
-struct Crowd {
+struct Candidates {
     /// Coordinates and slot of each candidate as [`Window::words`], with the slot counted from the
     /// chunk's base in the high half of the second word.
     words: [Vec<Words>; 2],
@@ -32,40 +32,41 @@ struct Crowd {
     own: usize,
 }
 
-impl Crowd {
+impl Candidates {
     /// Removes all candidates, and makes room for this many.
     #[inline(always)]
     fn clear(&mut self, candidates: usize) {
         self.count = 0;
         // Each write is sixteen words wide and may reach past the last candidate.
-        let room = candidates.div_ceil(2 * WIDTH) + 1;
-        if self.slots.len() < 2 * WIDTH * room {
-            self.slots.resize(2 * WIDTH * room, 0);
-            self.words.iter_mut().for_each(|words| words.resize(room, [0; 2 * WIDTH]));
+        let scratch = candidates.div_ceil(2 * WIDTH) + 1;
+        if self.slots.len() < 2 * WIDTH * scratch {
+            self.slots.resize(2 * WIDTH * scratch, 0);
+            self.words.iter_mut().for_each(|words| words.resize(scratch, [0; 2 * WIDTH]));
         }
     }
 }
 
 /// A thread's scratch buffer for building lists, reused from chunk to chunk.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Workbench {
-    crowd: Crowd,
+pub(super) struct ListScratch {
+    candidates: Candidates,
     /// The lists with 16-bit entries, before they are copied to their chunk.
     short: Lists<u16>,
     /// The lists with 32-bit entries, used where 16 bits are too few.
-    whole: Draft,
+    whole: ListBuilder,
 }
 
-impl Workbench {
+impl ListScratch {
     /// Grows every thread's buffers to the size of the largest, so that no later build allocates,
     /// whichever thread the scheduler gives the fullest cells to.
     pub(super) fn level(benches: &mut [Self]) {
-        let most = |room: fn(&Self) -> usize| benches.iter().map(room).max().unwrap_or_default();
-        let candidates = most(|bench| bench.crowd.slots.len());
-        let listed = most(|bench| bench.short.room());
-        let whole = most(|bench| bench.whole.room());
+        let most =
+            |scratch: fn(&Self) -> usize| benches.iter().map(scratch).max().unwrap_or_default();
+        let candidates = most(|bench| bench.candidates.slots.len());
+        let listed = most(|bench| bench.short.scratch());
+        let whole = most(|bench| bench.whole.scratch());
         for bench in benches {
-            bench.crowd.clear(candidates.saturating_sub(2 * WIDTH));
+            bench.candidates.clear(candidates.saturating_sub(2 * WIDTH));
             bench.short.make_room(listed);
             bench.whole.make_room(whole);
         }
@@ -79,30 +80,30 @@ trait Written: Entry {
 
     /// Of sixteen candidates starting at index `first`, writes those in the mask to the front of
     /// `kept`.
-    fn keep<W: Wide>(mask: u16, words: &Words, first: usize, kept: &mut [Self]);
+    fn keep<W: SimdFloat>(mask: u16, words: &Words, first: usize, kept: &mut [Self]);
 
     /// Turns what [`Self::keep`] wrote into list entries.
-    fn finish(written: &mut [Self], crowd: &Crowd);
+    fn finish(written: &mut [Self], candidates: &Candidates);
 
     /// The slot of the candidate with index `number`.
-    fn slot(crowd: &Crowd, number: usize, base: usize) -> usize;
+    fn slot(candidates: &Candidates, number: usize, base: usize) -> usize;
 }
 
 impl Written for u16 {
     const BY_SLOT: bool = false;
 
     #[inline(always)]
-    fn keep<W: Wide>(mask: u16, words: &Words, _: usize, kept: &mut [Self]) {
+    fn keep<W: SimdFloat>(mask: u16, words: &Words, _: usize, kept: &mut [Self]) {
         if let Some(kept) = kept.first_chunk_mut() {
             W::keep_tags(mask, words, kept);
         }
     }
 
     #[inline(always)]
-    fn finish(_: &mut [Self], _: &Crowd) {}
+    fn finish(_: &mut [Self], _: &Candidates) {}
 
-    fn slot(crowd: &Crowd, number: usize, base: usize) -> usize {
-        base + (crowd.words[1].as_flattened()[number] >> 16) as usize
+    fn slot(candidates: &Candidates, number: usize, base: usize) -> usize {
+        base + (candidates.words[1].as_flattened()[number] >> 16) as usize
     }
 }
 
@@ -110,21 +111,21 @@ impl Written for u32 {
     const BY_SLOT: bool = true;
 
     #[inline(always)]
-    fn keep<W: Wide>(mask: u16, _: &Words, first: usize, kept: &mut [Self]) {
+    fn keep<W: SimdFloat>(mask: u16, _: &Words, first: usize, kept: &mut [Self]) {
         if let Some(kept) = kept.first_chunk_mut() {
             W::compress(mask, first as u32, kept);
         }
     }
 
     #[inline(always)]
-    fn finish(written: &mut [Self], crowd: &Crowd) {
+    fn finish(written: &mut [Self], candidates: &Candidates) {
         for number in written {
-            *number = crowd.slots[*number as usize];
+            *number = candidates.slots[*number as usize];
         }
     }
 
-    fn slot(crowd: &Crowd, number: usize, _: usize) -> usize {
-        crowd.slots[number] as usize
+    fn slot(candidates: &Candidates, number: usize, _: usize) -> usize {
+        candidates.slots[number] as usize
     }
 }
 
@@ -154,17 +155,17 @@ struct Steps {
     margin: u32,
 }
 
-impl<const D: usize> Pass for (ListPass<'_, D>, &mut Workbench, &mut Chunk) {
+impl<const D: usize> SimdTask for (ListPass<'_, D>, &mut ListScratch, &mut Chunk) {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let (pass, bench, chunk) = self;
         let (steps, count) = (pass.steps(), pass.count());
-        if pass.write::<W, u16>(&steps, &mut bench.crowd, &mut bench.short) {
+        if pass.write::<W, u16>(&steps, &mut bench.candidates, &mut bench.short) {
             chunk.copy_short(&bench.short, count);
         } else {
-            pass.write::<W, u32>(&steps, &mut bench.crowd, &mut bench.whole);
+            pass.write::<W, u32>(&steps, &mut bench.candidates, &mut bench.whole);
             chunk.copy_from(&bench.whole, count);
         }
     }
@@ -219,10 +220,10 @@ impl<const D: usize> ListPass<'_, D> {
     /// Writes the lists of the chunk. Returns false where a candidate is too far from the base for
     /// an entry.
     #[inline(always)]
-    fn write<W: Wide, E: Written>(
+    fn write<W: SimdFloat, E: Written>(
         &self,
         steps: &Steps,
-        crowd: &mut Crowd,
+        candidates: &mut Candidates,
         lists: &mut Lists<E>,
     ) -> bool {
         let count = self.count();
@@ -234,16 +235,16 @@ impl<const D: usize> ListPass<'_, D> {
             // Particles of one cell are consecutive and share their candidates.
             let cell = self.cells.coordinates_of(self.place(slot));
             let until = self.cells.slots(cell).end.min(end);
-            let nobody = self.nobody_near(cell, count).wrapping_sub(base);
+            let sentinel = self.none_near(cell, count).wrapping_sub(base);
             let window = self.window(cell, slot..until, steps);
-            if !self.gather::<W, E>((cell, slot), &window, base, crowd)
-                || (!E::BY_SLOT && nobody > FEW)
+            if !self.gather::<W, E>((cell, slot), &window, base, candidates)
+                || (!E::BY_SLOT && sentinel > FEW)
             {
                 return false;
             }
-            for (number, slot) in (crowd.own..).zip(slot..until) {
-                self.list::<W, E>(slot, (&window, number, base), steps.limits, (crowd, lists));
-                lists.close(nobody, self.is_near_seam(slot, steps.margin));
+            for (number, slot) in (candidates.own..).zip(slot..until) {
+                self.list::<W, E>(slot, (&window, number, base), steps.limits, (candidates, lists));
+                lists.close(sentinel, self.is_near_seam(slot, steps.margin));
             }
             slot = until;
         }
@@ -276,19 +277,19 @@ impl<const D: usize> ListPass<'_, D> {
     /// of a window; `own` is the first slot in that box. Returns false where a candidate is too far
     /// from the base for an entry.
     #[inline(always)]
-    fn gather<W: Wide, E: Written>(
+    fn gather<W: SimdFloat, E: Written>(
         &self,
         (cell, own): ([usize; D], usize),
         window: &Window<D>,
         base: usize,
-        crowd: &mut Crowd,
+        candidates: &mut Candidates,
     ) -> bool {
         let around = self.cells.around(cell);
-        crowd.clear(around.candidates());
+        candidates.clear(around.candidates());
         // Separate slices: the buffers written do not alias the columns read.
         let columns = slices(self.columns);
-        let [xy, zt] = crowd.words.each_mut().map(|words| words.as_flattened_mut());
-        let slots = &mut crowd.slots[..];
+        let [xy, zt] = candidates.words.each_mut().map(|words| words.as_flattened_mut());
+        let slots = &mut candidates.slots[..];
         let mut count = 0;
         for range in around.ranges() {
             let (from, end) = (range.from as usize, range.to as usize);
@@ -308,34 +309,34 @@ impl<const D: usize> ListPass<'_, D> {
                 }
                 if (first..end.min(first + 2 * WIDTH)).contains(&own) {
                     let before = mask & !(u16::MAX << (own - first));
-                    crowd.own = count + before.count_ones() as usize;
+                    candidates.own = count + before.count_ones() as usize;
                 }
                 count += mask.count_ones() as usize;
             }
         }
-        crowd.count = count;
+        candidates.count = count;
         true
     }
 
     /// Writes the list of one slot from the candidates near its cell.
     #[inline(always)]
-    fn list<W: Wide, E: Written>(
+    fn list<W: SimdFloat, E: Written>(
         &self,
         slot: usize,
         (window, own, base): (&Window<D>, usize, usize),
         limits: [u32; 2],
-        (crowd, lists): (&Crowd, &mut Lists<E>),
+        (candidates, lists): (&Candidates, &mut Lists<E>),
     ) {
         let here = window.words(self.place(slot));
-        let index = lists.open(crowd.count);
+        let index = lists.open(candidates.count);
         let mut filled = 0;
-        let [xy, zt] = crowd.words.each_ref().map(|words| &words[..]);
+        let [xy, zt] = candidates.words.each_ref().map(|words| &words[..]);
         for (number, (xy, zt)) in xy.iter().zip(zt).enumerate() {
             let first = 2 * WIDTH * number;
-            if first >= crowd.count {
+            if first >= candidates.count {
                 break;
             }
-            let mut inside = u16::MAX >> (2 * WIDTH - (crowd.count - first).min(2 * WIDTH));
+            let mut inside = u16::MAX >> (2 * WIDTH - (candidates.count - first).min(2 * WIDTH));
             // A particle is not its own neighbour.
             if own / (2 * WIDTH) == number {
                 inside &= !(1 << (own % (2 * WIDTH)));
@@ -343,13 +344,14 @@ impl<const D: usize> ListPass<'_, D> {
             let [mut near, maybe] = W::within([xy, zt], here, limits);
             if near != maybe {
                 let doubtful = maybe & inside & !near;
-                near |= self.look_closer(slot, doubtful, |bit| E::slot(crowd, first + bit, base));
+                near |=
+                    self.look_closer(slot, doubtful, |bit| E::slot(candidates, first + bit, base));
             }
             near &= inside;
             E::keep::<W>(near, zt, first, &mut index[filled..]);
             filled += near.count_ones() as usize;
         }
-        E::finish(&mut index[..filled], crowd);
+        E::finish(&mut index[..filled], candidates);
         lists.fill(filled);
     }
 
@@ -372,7 +374,7 @@ impl<const D: usize> ListPass<'_, D> {
     /// The index that pads the lists of a cell. It is the sentinel; where that is too far for a
     /// 16-bit entry, it is a particle half a box away along the first axis, if there is one.
     #[inline(always)]
-    fn nobody_near(&self, cell: [usize; D], count: usize) -> usize {
+    fn none_near(&self, cell: [usize; D], count: usize) -> usize {
         // At least two whole cells lie between the two, each wider than the reach.
         if count <= FEW { count } else { self.cells.far_from(cell, 3).unwrap_or(count) }
     }

@@ -9,7 +9,7 @@
 //! | module | term | phases |
 //! |---|---|---|
 //! | [`neighbours`] | cell lists with a skin | `Neighbours` |
-//! | [`packing`] | particles to packed arrays and back | `Visible`, `Return` |
+//! | [`packing`] | particles to packed arrays and back | `Pack`, `Unpack` |
 //! | [`verlet`] | kicks and drift | `FirstKick`, `Drift`, `SecondKick` |
 //! | [`density`] | density by summation | `Density` |
 //! | [`acceleration`] | pair forces of one law or several | `Force` |
@@ -65,7 +65,7 @@ use verlet::Step;
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Phase {
     /// The force evaluated again at `(rᵏ, vᵏ)`: only in the steps `paper` and `two-force`.
-    Refresh,
+    Reevaluate,
     /// `v½ = vᵏ + dt/2 Fᵏ`.
     FirstKick,
     /// `rᵏ⁺¹ = rᵏ + dt v½`.
@@ -73,7 +73,7 @@ pub enum Phase {
     /// The neighbour lists at `rᵏ⁺¹`.
     Neighbours,
     /// Packs positions and velocities, as the force evaluation reads them.
-    Visible,
+    Pack,
     /// `ρᵏ⁺¹`, Eq. (17), and with it the neighbours within the support.
     Density,
     /// The forces of the model, Eqs. (2) to (7).
@@ -81,7 +81,7 @@ pub enum Phase {
     /// The external forcing, A.3.
     Forcing,
     /// Accelerations are written from the packed arrays back to the particles.
-    Return,
+    Unpack,
     /// `vᵏ⁺¹ = v½ + dt/2 F`.
     SecondKick,
     /// The loss of the completed step, where it is observed.
@@ -93,15 +93,15 @@ pub enum Phase {
 impl Phase {
     /// All phases, in order.
     pub const ALL: [Self; 12] = [
-        Self::Refresh,
+        Self::Reevaluate,
         Self::FirstKick,
         Self::Drift,
         Self::Neighbours,
-        Self::Visible,
+        Self::Pack,
         Self::Density,
         Self::Force,
         Self::Forcing,
-        Self::Return,
+        Self::Unpack,
         Self::SecondKick,
         Self::Loss,
         Self::Watch,
@@ -110,7 +110,7 @@ impl Phase {
 
 /// The schedules of a World.
 #[derive(ScheduleLabel, Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Program {
+pub enum ScheduleKind {
     /// From positions and velocities to the forces at step zero.
     Start,
     /// One step.
@@ -118,9 +118,9 @@ pub enum Program {
     /// Neighbours and density of a restored state.
     Prepare,
     /// The adjoint of one step: every pullback, in the reverse of the step's order.
-    Retreat,
+    StepAdjoint,
     /// The adjoint of the start.
-    Return,
+    StartAdjoint,
 }
 
 /// The occasions on which the systems of a term are requested.
@@ -130,7 +130,7 @@ pub enum Occasion {
     Start,
     /// The force evaluated again at `(rᵏ, vᵏ)`, with the densities of the step before; only in the
     /// steps `paper` and `two-force`.
-    Refresh,
+    Reevaluate,
     /// The step itself, with a force evaluation after the drift.
     Step,
     /// A snapshot was restored: neighbours and densities are recomputed.
@@ -145,7 +145,7 @@ impl Occasion {
 
     /// Whether positions have changed, so that neighbours and densities are recomputed.
     pub fn has_densities(self) -> bool {
-        self != Self::Refresh
+        self != Self::Reevaluate
     }
 
     /// Whether the state is complete, so that losses and limits apply.
@@ -169,7 +169,7 @@ impl Needs {
     /// The occasions of one step, in order.
     pub fn occasions_of_a_step(&self) -> &'static [Occasion] {
         match self.step.refreshes() {
-            true => &[Occasion::Refresh, Occasion::Step],
+            true => &[Occasion::Reevaluate, Occasion::Step],
             false => &[Occasion::Step],
         }
     }

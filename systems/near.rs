@@ -2,9 +2,9 @@
 
 use super::acceleration::PairTerm;
 use super::neighbours::Neighbours;
-use crate::models::Room;
+use crate::models::Scratch;
 use crate::near::Near;
-use crate::pairs::{Chunk, Hood, Lines};
+use crate::pairs::{Chunk, Lines, Neighbourhood};
 use crate::space::PeriodicBox;
 
 /// All pairs of an evaluation: the particles, their neighbour lists, and the masks of the
@@ -43,15 +43,15 @@ impl<'a> Pairs<'a> {
 
     /// Finds the neighbours within the support of a chunk's particles.
     pub(super) fn find(&self, chunk: usize, near: &mut Near) {
-        near.find(&self.chunks[chunk], &self.masks[chunk], self.lines.nobody());
+        near.find(&self.chunks[chunk], &self.masks[chunk], self.lines.sentinel());
     }
 
     /// A chunk of particles, with access to all particles.
-    pub(super) fn hood<'b>(&self, near: &'b Near) -> Hood<'b>
+    pub(super) fn neighbourhood<'b>(&self, near: &'b Near) -> Neighbourhood<'b>
     where
         'a: 'b,
     {
-        Hood { lines: self.lines, near, space: self.space }
+        Neighbourhood { lines: self.lines, near, space: self.space }
     }
 
     /// Calls `work` with a chunk of particles and a scratch buffer for a law.
@@ -59,13 +59,13 @@ impl<'a> Pairs<'a> {
         &self,
         chunk: usize,
         law: &PairTerm<D>,
-        work: impl FnOnce(Hood<'_>, &mut Room) -> T,
+        work: impl FnOnce(Neighbourhood<'_>, &mut Scratch) -> T,
     ) -> T {
-        law.rooms.enter(&*law.model, |room| {
-            let mut near = std::mem::take(&mut room.near);
+        law.scratch_pool.enter(&*law.model, |scratch| {
+            let mut near = std::mem::take(&mut scratch.near);
             self.find(chunk, &mut near);
-            let result = work(self.hood(&near), room);
-            room.near = near;
+            let result = work(self.neighbourhood(&near), scratch);
+            scratch.near = near;
             result
         })
     }

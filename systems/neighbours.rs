@@ -6,14 +6,14 @@
 //! order, so that every sum has the same bits for any number of threads. The skin does not change
 //! results: pairs between `2h` and `2h + skin` contribute exact zeros.
 
-use super::lists::{ListPass, Workbench};
+use super::lists::{ListPass, ListScratch};
 use super::movement::Movement;
-use super::particles::{Cloud, Identity, Particles, Pool, Position};
+use super::particles::{Cloud, ParticleId, Particles, Pool, Position};
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::cells::{Cells, FEWEST};
+use crate::cells::{Cells, MIN_PARALLEL_LEN};
 use crate::packed::PackedSingle;
-use crate::pairs::AT_ONCE;
+use crate::pairs::MAX_BLOCKS_PER_TASK;
 pub use crate::pairs::{CHUNK, Chunk};
 use crate::scalar::{WIDTH, dispatch};
 use crate::space::PeriodicBox;
@@ -49,7 +49,7 @@ pub struct Neighbours<const D: usize> {
     columns: [Vec<i32>; D],
     /// Bounds of the displacements since the last rebuild.
     movement: Movement,
-    benches: Pool<Workbench>,
+    benches: Pool<ListScratch>,
 }
 
 impl<const D: usize> Neighbours<D> {
@@ -173,15 +173,15 @@ impl<const D: usize> Neighbours<D> {
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
         let (columns, benches, position) = (&self.columns, &self.benches, &position);
-        let tasks = chunks.par_iter_mut().enumerate().with_max_len(AT_ONCE);
+        let tasks = chunks.par_iter_mut().enumerate().with_max_len(MAX_BLOCKS_PER_TASK);
         tasks.for_each(|(number, chunk)| {
             let first = number * CHUNK;
             let pass = ListPass { first, columns, position, cells, space, reach };
-            benches.lend(Workbench::default, |bench| {
+            benches.lend(ListScratch::default, |bench| {
                 dispatch((pass, bench, chunk));
             });
         });
-        Workbench::level(self.benches.rest());
+        ListScratch::level(self.benches.rest());
         match Arc::get_mut(&mut self.chunks) {
             Some(own) => *own = chunks,
             None => self.chunks = Arc::new(chunks),
@@ -195,7 +195,7 @@ fn fix<const D: usize>(
     row_of_slot: &[u32],
     place: &(impl Fn(usize) -> [i32; D] + Sync),
 ) {
-    if row_of_slot.len() < 2 * FEWEST {
+    if row_of_slot.len() < 2 * MIN_PARALLEL_LEN {
         for (slot, &row) in row_of_slot.iter().enumerate() {
             for (column, x) in columns.iter_mut().zip(place(row as usize)) {
                 column[slot] = x;
@@ -245,7 +245,7 @@ impl<const D: usize> Term<D> for NeighbourSearch {
 
 /// System: brings the neighbour lists, and the order of the cloud, up to date.
 pub fn find_neighbours<const D: usize>(
-    positions: Query<(&Identity, &Position<D>)>,
+    positions: Query<(&ParticleId, &Position<D>)>,
     particles: Res<Particles>,
     mut neighbours: ResMut<Neighbours<D>>,
     mut cloud: ResMut<Cloud<D>>,

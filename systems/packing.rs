@@ -5,17 +5,17 @@ use super::loss::Observations;
 use super::neighbours::Neighbours;
 use super::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    Identity, Particles, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
+    ParticleId, Particles, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
     SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
 use super::tape::{Tape, record_evaluation};
 use super::term::{Stage, Systems, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
-use crate::cells::FEWEST;
+use crate::cells::MIN_PARALLEL_LEN;
 use crate::packed::{PackedAdjoint, PackedSensitivity};
 use crate::pairs::CHUNK;
-use crate::scalar::{Pass, Wide, dispatch};
+use crate::scalar::{SimdFloat, SimdTask, dispatch};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ impl<const D: usize> Term<D> for Packing {
 
     fn stages(&self, occasion: Occasion, needs: &Needs) -> Vec<Stage> {
         let visible = match (occasion, needs.step.predicts()) {
-            (Occasion::Refresh, _) => visible::<false, false, D>(),
+            (Occasion::Reevaluate, _) => visible::<false, false, D>(),
             (Occasion::Step, true) => visible::<true, true, D>(),
             (Occasion::Start | Occasion::Step | Occasion::Restore, _) => {
                 visible::<false, true, D>()
@@ -45,7 +45,7 @@ impl<const D: usize> Term<D> for Packing {
             true => (write_acceleration::<D>, record_evaluation::<D>).chain(),
             false => write_acceleration::<D>.into_configs(),
         };
-        let back = Stage::new(Phase::Return, write)
+        let back = Stage::new(Phase::Unpack, write)
             .tangent(write_acceleration_tangent::<D>)
             .pullback(rewind_evaluation::<D>);
         vec![visible, back]
@@ -55,7 +55,7 @@ impl<const D: usize> Term<D> for Packing {
 /// Packs velocities, predicted to the end of the step if `PREDICTED`, and positions if particles
 /// have `MOVED`.
 fn visible<const PREDICTED: bool, const MOVED: bool, const D: usize>() -> Stage {
-    Stage::new(Phase::Visible, pack_velocities::<PREDICTED, MOVED, D>)
+    Stage::new(Phase::Pack, pack_velocities::<PREDICTED, MOVED, D>)
         .tangent(pack_sensitivities::<PREDICTED, MOVED, D>)
         .pullback(unpack_adjoint::<PREDICTED, D>)
 }
@@ -72,7 +72,7 @@ pub(super) fn observed<const D: usize>(
 /// System: packs the velocity that the next force evaluation uses and, if particles have `MOVED`
 /// since the last packing, their positions.
 pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>(
-    rows: Query<(&Identity, &Position<D>, &Velocity<D>, &Acceleration<D>)>,
+    rows: Query<(&ParticleId, &Position<D>, &Velocity<D>, &Acceleration<D>)>,
     (particles, integrator): (Res<Particles>, Res<Integrator>),
     neighbours: Res<Neighbours<D>>,
     mut cloud: ResMut<Cloud<D>>,
@@ -84,7 +84,7 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
     let velocities = particles.gather(columns().map(|(id, _, v, _)| (id, v)), Velocity(zero));
     let accelerations = particles.gather(columns().map(|(id, .., a)| (id, a)), Acceleration(zero));
     let rows = &neighbours.cells.row_of_slot;
-    let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(FEWEST);
+    let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(MIN_PARALLEL_LEN);
     lines.for_each(|(line, &row)| {
         let v = velocities[row as usize].0;
         let seen = if PREDICTED { v + accelerations[row as usize].0 * half_step } else { v };
@@ -155,11 +155,11 @@ struct Pack<'a, const D: usize> {
     lines: &'a mut [PackedSensitivity<D>],
 }
 
-impl<const D: usize> Pass for Pack<'_, D> {
+impl<const D: usize> SimdTask for Pack<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { columns: Columns { positions, velocities, accelerations, half }, rows, lines } =
             self;
         for (line, &row) in lines.iter_mut().zip(rows) {
@@ -201,11 +201,11 @@ struct Write<'a, const D: usize> {
     a: &'a mut [AccelerationSensitivity<D>],
 }
 
-impl<const D: usize> Pass for Write<'_, D> {
+impl<const D: usize> SimdTask for Write<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         for (a, of) in self.a.iter_mut().zip(self.of) {
             let slot = self.slots[of.particle as usize] as usize;
             let found = &self.blocks[of.block as usize].acceleration[slot];
@@ -218,12 +218,12 @@ impl<const D: usize> Pass for Write<'_, D> {
 
 /// System: writes the accelerations back to the particles.
 pub fn write_acceleration<const D: usize>(
-    mut accelerations: Query<(&Identity, &mut Acceleration<D>)>,
+    mut accelerations: Query<(&ParticleId, &mut Acceleration<D>)>,
     cloud: Res<Cloud<D>>,
 ) {
     let slots = &cloud.slot_of_row[..];
     for (ids, mut column) in accelerations.contiguous_iter_mut().into_iter().flatten() {
-        let rows = column.par_iter_mut().zip(ids).with_min_len(FEWEST);
+        let rows = column.par_iter_mut().zip(ids).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(acceleration, id)| {
             if let Some(&slot) = slots.get(id.0 as usize) {
                 acceleration.0 = cloud.acceleration[slot as usize];
@@ -237,7 +237,7 @@ pub fn rewind_evaluation<const D: usize>(
     mut tape: ResMut<Tape<D>>,
     (mut neighbours, mut cloud): (ResMut<Neighbours<D>>, ResMut<Cloud<D>>),
     (mut clock, mut adjoint): (ResMut<Clock>, ResMut<AdjointCloud<D>>),
-    mut rows: Query<(&Identity, &mut AccelerationAdjoint<D>)>,
+    mut rows: Query<(&ParticleId, &mut AccelerationAdjoint<D>)>,
 ) {
     let Some(step) = tape.rewind(&mut cloud, &mut neighbours) else { return };
     clock.evaluated = step;
@@ -276,7 +276,7 @@ pub fn rewind_evaluation<const D: usize>(
 /// share.
 pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
     mut rows: Query<(
-        &Identity,
+        &ParticleId,
         &mut PositionAdjoint<D>,
         &mut VelocityAdjoint<D>,
         &mut AccelerationAdjoint<D>,

@@ -8,7 +8,7 @@ use super::{Needs, Occasion, Phase};
 use crate::packed::Packed;
 use crate::pairs::CHUNK;
 use crate::parameters::ParameterSpec;
-use crate::scalar::{Dual, Lanes, Scalar};
+use crate::scalar::{Dual, F64x8, Scalar};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -260,7 +260,7 @@ impl<F: ParticleForce> ActiveForce<F> {
         cloud: &Cloud<D>,
         block: &mut SensitivityBlock<D>,
     ) {
-        let directions: Vec<Lanes> =
+        let directions: Vec<F64x8> =
             self.places.iter().map(|&place| block.direction(place)).collect();
         let SensitivityBlock { packed, acceleration, .. } = block;
         let rows = acceleration.par_iter_mut().zip(&*packed).zip(cloud.particles());

@@ -1,15 +1,15 @@
 //! The components of a particle, and the packed arrays of all particles that pair loops run over.
 
-use super::acceleration::Senders;
-use super::density_tangent::Pulls;
+use super::acceleration::TransposedLists;
+use super::density_tangent::DensityJacobian;
 use super::near::Pairs;
 use super::neighbours::Neighbours;
-use crate::cells::FEWEST;
-use crate::models::{Model, PairShare, Room, Slopes};
+use crate::cells::MIN_PARALLEL_LEN;
+use crate::models::{ForceJacobian, Model, PairShare, Scratch};
 use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::{CHUNK, Lines};
-use crate::scalar::{Lanes, Precision};
+use crate::scalar::{F64x8, Precision};
 use crate::sensitivity::Coupling;
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
@@ -25,7 +25,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// moves it, and no force acts on it. A particle keeps its number. A flow is refused if its
 /// number of particles has changed since its start.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Identity(pub u32);
+pub struct ParticleId(pub u32);
 
 /// Position `r`, inside the box.
 #[derive(Component, Clone, Copy, Debug)]
@@ -50,7 +50,7 @@ pub struct Density(pub f64);
 /// in memory and a scene that learns `p` parameters has `⌈p/8⌉` of them per particle.
 #[derive(Component, Clone, Copy, Debug)]
 pub struct BlockOf {
-    /// [`Identity`] of the particle.
+    /// [`ParticleId`] of the particle.
     pub particle: u32,
     /// Parameters `8·block .. 8·block + 8`.
     pub block: u32,
@@ -58,15 +58,15 @@ pub struct BlockOf {
 
 /// `∂r/∂θ`, one lane per learned parameter.
 #[derive(Component, Clone, Copy, Debug)]
-pub struct PositionSensitivity<const D: usize>(pub Vector<Lanes, D>);
+pub struct PositionSensitivity<const D: usize>(pub Vector<F64x8, D>);
 
 /// `∂v/∂θ`.
 #[derive(Component, Clone, Copy, Debug)]
-pub struct VelocitySensitivity<const D: usize>(pub Vector<Lanes, D>);
+pub struct VelocitySensitivity<const D: usize>(pub Vector<F64x8, D>);
 
 /// `∂F/∂θ` of the last force evaluation.
 #[derive(Component, Clone, Copy, Debug)]
-pub struct AccelerationSensitivity<const D: usize>(pub Vector<Lanes, D>);
+pub struct AccelerationSensitivity<const D: usize>(pub Vector<F64x8, D>);
 
 /// `∂L/∂r` of the loss of later steps, carried backwards through the steps.
 #[derive(Component, Clone, Copy, Debug, Default)]
@@ -85,11 +85,11 @@ pub struct AccelerationAdjoint<const D: usize>(pub Vector<f64, D>);
 pub struct Particles(pub usize);
 
 /// One table of particles: their numbers, and one component of each.
-type Table<'a, T> = (&'a [Identity], &'a [T]);
+type Table<'a, T> = (&'a [ParticleId], &'a [T]);
 
 impl Particles {
     /// A component of all particles, particle `k` in row `k`. It is borrowed where the World stores
-    /// it in that order, and gathered by [`Identity`] where a user's components have moved
+    /// it in that order, and gathered by [`ParticleId`] where a user's components have moved
     /// particles to other tables.
     pub(super) fn gather<'a, T: Copy>(
         self,
@@ -113,7 +113,7 @@ impl Particles {
     }
 
     /// Whether these are all particles, particle `k` in row `k`.
-    pub(crate) fn are_in_order(self, ids: &[Identity]) -> bool {
+    pub(crate) fn are_in_order(self, ids: &[ParticleId]) -> bool {
         ids.len() == self.0 && (0..).zip(ids).all(|(row, id)| id.0 == row)
     }
 }
@@ -155,7 +155,7 @@ pub struct AdjointCloud<const D: usize> {
     /// opposite.
     pub shares: Vec<Vec<PairShare<D>>>,
     /// Where each particle finds the shares written for it.
-    pub senders: Senders,
+    pub senders: TransposedLists,
     /// `∂L/∂` of every parameter of the flat vector, summed over the evaluations so far.
     pub parameters: Vec<f64>,
     /// The same for one evaluation, chunk by chunk.
@@ -194,7 +194,7 @@ impl<const D: usize> AdjointCloud<D> {
 /// A *slot* is an index in cell order, a *row* an index in the World's columns.
 #[derive(Resource, Debug, Default)]
 pub struct Cloud<const D: usize> {
-    /// One line per slot, and [`Packed::NOBODY`] at the end.
+    /// One line per slot, and [`Packed::SENTINEL`] at the end.
     pub packed: Vec<Packed>,
     /// The same in `f32`; used in mixed precision.
     pub singles: Vec<PackedSingle>,
@@ -226,7 +226,7 @@ impl<const D: usize> Cloud<D> {
     pub fn resize(&mut self, count: usize) {
         if self.packed.len() != count + 1 {
             self.packed.clear();
-            self.packed.resize(count + 1, Packed::NOBODY);
+            self.packed.resize(count + 1, Packed::SENTINEL);
         }
         self.acceleration.resize(count, Vector::zero());
         self.density.resize(count, 0.0);
@@ -237,9 +237,9 @@ impl<const D: usize> Cloud<D> {
     pub fn round(&mut self, space: PeriodicBox) {
         if self.precision == Precision::Mixed {
             let particles = &self.packed[..self.slot_of_row.len()];
-            self.singles.resize(particles.len() + 1, PackedSingle::NOBODY);
-            self.singles[particles.len()] = PackedSingle::NOBODY;
-            let lines = self.singles.par_iter_mut().zip(particles).with_min_len(FEWEST);
+            self.singles.resize(particles.len() + 1, PackedSingle::SENTINEL);
+            self.singles[particles.len()] = PackedSingle::SENTINEL;
+            let lines = self.singles.par_iter_mut().zip(particles).with_min_len(MIN_PARALLEL_LEN);
             lines.for_each(|(single, line)| *single = PackedSingle::new(line, space));
         }
     }
@@ -266,13 +266,13 @@ pub struct SensitivityBlock<const D: usize> {
     /// One entry per slot.
     pub packed: Vec<PackedSensitivity<D>>,
     /// `δρ` per slot, before it is copied into `packed`.
-    pub density: Vec<Lanes>,
+    pub density: Vec<F64x8>,
     /// `δF` per slot.
-    pub acceleration: Vec<Vector<Lanes, D>>,
+    pub acceleration: Vec<Vector<F64x8, D>>,
     /// The learned parameters: `(lane, place in the flat vector)`.
     pub columns: Vec<(usize, usize)>,
     /// Of each pair law, in order: `∂(its scalar parameters)/∂(the eight learned parameters)`.
-    pub directions: Vec<Vec<Lanes>>,
+    pub directions: Vec<Vec<F64x8>>,
     /// Of each pair law, in order: `(lane, place in its network)` of its weights among the eight.
     pub weights: Vec<Vec<(usize, usize)>>,
 }
@@ -280,9 +280,9 @@ pub struct SensitivityBlock<const D: usize> {
 impl<const D: usize> SensitivityBlock<D> {
     /// `∂(the parameter at a place of the flat vector)/∂(the eight learned parameters)`: 1 in its
     /// lane, or zero.
-    pub fn direction(&self, place: usize) -> Lanes {
+    pub fn direction(&self, place: usize) -> F64x8 {
         let column = self.columns.iter().find(|(_, own)| *own == place);
-        column.map_or(Lanes::ZERO, |&(lane, _)| Lanes::unit(lane))
+        column.map_or(F64x8::ZERO, |&(lane, _)| F64x8::unit(lane))
     }
 }
 
@@ -294,11 +294,11 @@ pub struct SensitivityCloud<const D: usize> {
     /// Which derivatives of the force are included.
     pub coupling: Coupling,
     /// `∂A/∂ρ` per slot.
-    pub stress_slopes: Vec<f64>,
+    pub p_over_rho2_slopes: Vec<f64>,
     /// Coefficients of the density tangent, for the chunks of one window.
-    pub pulls: Vec<Pulls<D>>,
+    pub pulls: Vec<DensityJacobian<D>>,
     /// The linearised pairs of the chunks of one window.
-    pub slopes: Vec<Slopes>,
+    pub slopes: Vec<ForceJacobian>,
 }
 
 /// A pool of scratch buffers: one for each thread, from the first use on.
@@ -345,22 +345,22 @@ impl<T> Pool<T> {
 
 /// The scratch buffers in which threads evaluate a model.
 #[derive(Debug, Default)]
-pub struct Rooms(Pool<Room>);
+pub struct ScratchPool(Pool<Scratch>);
 
-impl Rooms {
+impl ScratchPool {
     /// Calls `work` with a scratch buffer for this model.
     pub fn enter<T, const D: usize>(
         &self,
         model: &dyn Model<D>,
-        work: impl FnOnce(&mut Room) -> T,
+        work: impl FnOnce(&mut Scratch) -> T,
     ) -> T {
-        self.0.lend(|| model.room(), work)
+        self.0.lend(|| model.scratch(), work)
     }
 
     /// Gives every thread's scratch buffer room for this many eights of neighbours, so that no
     /// later step allocates, whichever thread the scheduler gives the fullest chunk to.
     pub(super) fn make_room<const D: usize>(&self, model: &dyn Model<D>, eights: usize) {
-        let mut rooms = self.0.for_all_threads(|| model.room());
-        rooms.iter_mut().for_each(|room| room.near.make_room(eights));
+        let mut scratch_pool = self.0.for_all_threads(|| model.scratch());
+        scratch_pool.iter_mut().for_each(|scratch| scratch.near.make_room(eights));
     }
 }

@@ -1,7 +1,7 @@
 //! All schedules of a World, derived from one list of terms.
 
 use super::term::{Stage, Systems, Term};
-use super::{Needs, Occasion, Phase, Program};
+use super::{Needs, Occasion, Phase, ScheduleKind};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{
@@ -11,15 +11,15 @@ use bevy_ecs::schedule::{
 /// Terms; those of one phase run in this order.
 pub type Terms<const D: usize> = [Box<dyn Term<D>>];
 
-/// The phases of the force evaluation within [`Phase::Refresh`].
+/// The phases of the force evaluation within [`Phase::Reevaluate`].
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Refresh(Phase);
 
 /// The schedules of a World.
 pub struct Programs {
-    /// [`Program::Start`].
+    /// [`ScheduleKind::Start`].
     pub start: Schedule,
-    /// [`Program::Advance`].
+    /// [`ScheduleKind::Advance`].
     pub advance: Schedule,
     /// The schedules of the adjoint, where one is run.
     pub backward: Option<Backward>,
@@ -27,11 +27,11 @@ pub struct Programs {
 
 /// The schedules by which an adjoint runs backwards.
 pub struct Backward {
-    /// [`Program::Prepare`].
+    /// [`ScheduleKind::Prepare`].
     pub prepare: Schedule,
-    /// [`Program::Retreat`].
+    /// [`ScheduleKind::StepAdjoint`].
     pub retreat: Schedule,
-    /// [`Program::Return`].
+    /// [`ScheduleKind::StartAdjoint`].
     pub back_to_start: Schedule,
 }
 
@@ -55,13 +55,13 @@ impl Programs {
             terms.iter().try_for_each(|term| must_be_differentiable(&**term, occasion, needs))?;
         }
         let backward = || Backward {
-            prepare: forwards(Program::Prepare, &[Occasion::Restore], terms, needs),
-            retreat: backwards(Program::Retreat, step, terms, needs),
-            back_to_start: backwards(Program::Return, &[Occasion::Start], terms, needs),
+            prepare: forwards(ScheduleKind::Prepare, &[Occasion::Restore], terms, needs),
+            retreat: backwards(ScheduleKind::StepAdjoint, step, terms, needs),
+            back_to_start: backwards(ScheduleKind::StartAdjoint, &[Occasion::Start], terms, needs),
         };
         Ok(Self {
-            start: forwards(Program::Start, &[Occasion::Start], terms, needs),
-            advance: forwards(Program::Advance, step, terms, needs),
+            start: forwards(ScheduleKind::Start, &[Occasion::Start], terms, needs),
+            advance: forwards(ScheduleKind::Advance, step, terms, needs),
             backward: needs.adjoint.then(backward),
         })
     }
@@ -89,7 +89,7 @@ fn must_be_differentiable<const D: usize>(
 
 /// An empty schedule, in which two systems that touch the same data without an order between them
 /// are an error.
-fn empty(program: Program) -> Schedule {
+fn empty(program: ScheduleKind) -> Schedule {
     let mut schedule = Schedule::new(program);
     schedule.set_executor(SingleThreadedExecutor::new());
     schedule.set_build_settings(ScheduleBuildSettings {
@@ -102,7 +102,7 @@ fn empty(program: Program) -> Schedule {
 /// The set in which a phase of an occasion runs.
 fn set_of(occasion: Occasion, phase: Phase) -> InternedSystemSet {
     match occasion {
-        Occasion::Refresh => Refresh(phase).intern(),
+        Occasion::Reevaluate => Refresh(phase).intern(),
         Occasion::Start | Occasion::Step | Occasion::Restore => phase.intern(),
     }
 }
@@ -113,7 +113,7 @@ fn in_a_row(systems: impl IntoIterator<Item = Systems>) -> Option<Systems> {
 }
 
 fn forwards<const D: usize>(
-    program: Program,
+    program: ScheduleKind,
     occasions: &[Occasion],
     terms: &Terms<D>,
     needs: &Needs,
@@ -124,7 +124,7 @@ fn forwards<const D: usize>(
 }
 
 fn backwards<const D: usize>(
-    program: Program,
+    program: ScheduleKind,
     occasions: &[Occasion],
     terms: &Terms<D>,
     needs: &Needs,
@@ -134,8 +134,8 @@ fn backwards<const D: usize>(
     schedule(in_order(program, Phase::ALL.into_iter().rev()), occasions, (terms, needs), systems)
 }
 
-/// An empty schedule with phases in a given order, and the same order within [`Phase::Refresh`].
-fn in_order(program: Program, phases: impl IntoIterator<Item = Phase>) -> Schedule {
+/// An empty schedule with phases in a given order, and the same order within [`Phase::Reevaluate`].
+fn in_order(program: ScheduleKind, phases: impl IntoIterator<Item = Phase>) -> Schedule {
     let mut schedule = empty(program);
     let phases: Vec<Phase> = phases.into_iter().collect();
     for pair in phases.windows(2) {
@@ -143,7 +143,7 @@ fn in_order(program: Program, phases: impl IntoIterator<Item = Phase>) -> Schedu
         schedule.configure_sets(Refresh(pair[0]).before(Refresh(pair[1])));
     }
     for phase in phases {
-        schedule.configure_sets(Refresh(phase).in_set(Phase::Refresh));
+        schedule.configure_sets(Refresh(phase).in_set(Phase::Reevaluate));
     }
     schedule
 }

@@ -2,7 +2,7 @@
 //! reverse order.
 
 use super::neighbours::{Chunk, Neighbours};
-use super::particles::{AdjointCloud, Cloud, Identity, PositionAdjoint, VelocityAdjoint};
+use super::particles::{AdjointCloud, Cloud, ParticleId, PositionAdjoint, VelocityAdjoint};
 use super::verlet::Clock;
 use crate::losses::StateAdjoint;
 use crate::packed::Packed;
@@ -200,7 +200,7 @@ pub fn record_evaluation<const D: usize>(
 
 /// System: adds the derivatives of the loss of the step just returned to.
 pub fn add_loss<const D: usize>(
-    mut rows: Query<(&Identity, &mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
+    mut rows: Query<(&ParticleId, &mut PositionAdjoint<D>, &mut VelocityAdjoint<D>)>,
     clock: Res<Clock>,
     (mut tape, mut adjoint): (ResMut<Tape<D>>, ResMut<AdjointCloud<D>>),
 ) {

@@ -3,13 +3,13 @@
 //! Appendices are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 use super::particles::{
-    Acceleration, AccelerationAdjoint, AccelerationSensitivity, Identity, Position,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, ParticleId, Position,
     PositionAdjoint, PositionSensitivity, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::cells::FEWEST;
-use crate::scalar::{Lanes, Pass, Wide, dispatch};
+use crate::cells::MIN_PARALLEL_LEN;
+use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
@@ -124,24 +124,24 @@ impl<const D: usize> Term<D> for KickAndDrift {
 
 /// System: half a kick, `v += dt/2 F`.
 pub fn kick<const D: usize>(
-    mut particles: Query<(&mut Velocity<D>, &Acceleration<D>), With<Identity>>,
+    mut particles: Query<(&mut Velocity<D>, &Acceleration<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
     for (mut velocities, accelerations) in particles.contiguous_iter_mut().into_iter().flatten() {
-        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(FEWEST);
+        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(v, a)| v.0 += a.0 * half);
     }
 }
 
 /// System: the drift, `r += dt v`, wrapped into the box.
 pub fn drift<const D: usize>(
-    mut particles: Query<(&mut Position<D>, &Velocity<D>), With<Identity>>,
+    mut particles: Query<(&mut Position<D>, &Velocity<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
     mut clock: ResMut<Clock>,
 ) {
     for (mut positions, velocities) in particles.contiguous_iter_mut().into_iter().flatten() {
-        let rows = positions.par_iter_mut().zip(velocities).with_min_len(FEWEST);
+        let rows = positions.par_iter_mut().zip(velocities).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(r, v)| r.0 = integrator.space.wrap(r.0 + v.0 * integrator.dt));
     }
     clock.evaluated = clock.step + 1;
@@ -160,7 +160,7 @@ pub fn kick_tangent<const D: usize>(
 ) {
     let factor = 0.5 * integrator.dt;
     for (mut velocities, accelerations) in blocks.contiguous_iter_mut().into_iter().flatten() {
-        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(FEWEST);
+        let rows = velocities.par_iter_mut().zip(accelerations).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(v, a)| dispatch(Add { to: &mut v.0, rate: &a.0, factor }));
     }
 }
@@ -172,23 +172,23 @@ pub fn drift_tangent<const D: usize>(
 ) {
     let factor = integrator.dt;
     for (mut positions, velocities) in blocks.contiguous_iter_mut().into_iter().flatten() {
-        let rows = positions.par_iter_mut().zip(velocities).with_min_len(FEWEST);
+        let rows = positions.par_iter_mut().zip(velocities).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(r, v)| dispatch(Add { to: &mut r.0, rate: &v.0, factor }));
     }
 }
 
 /// Adds a rate times a factor.
 struct Add<'a, const D: usize> {
-    to: &'a mut Vector<Lanes, D>,
-    rate: &'a Vector<Lanes, D>,
+    to: &'a mut Vector<F64x8, D>,
+    rate: &'a Vector<F64x8, D>,
     factor: f64,
 }
 
-impl<const D: usize> Pass for Add<'_, D> {
+impl<const D: usize> SimdTask for Add<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         for axis in 0..D {
             let rate = W::Double::load(&self.rate[axis]) * self.factor;
             self.to[axis] = (W::Double::load(&self.to[axis]) + rate).store();
@@ -198,7 +198,7 @@ impl<const D: usize> Pass for Add<'_, D> {
 
 /// System: the pullback of [`kick`]: `∂L/∂F += dt/2 ∂L/∂v`.
 pub fn kick_pullback<const D: usize>(
-    mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>), With<Identity>>,
+    mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
 ) {
     let half = 0.5 * integrator.dt;
@@ -211,7 +211,7 @@ pub fn kick_pullback<const D: usize>(
 
 /// System: the pullback of [`drift`]: `∂L/∂v += dt ∂L/∂r`.
 pub fn drift_pullback<const D: usize>(
-    mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>), With<Identity>>,
+    mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
 ) {
     for (velocities, positions) in particles.contiguous_iter_mut().into_iter().flatten() {

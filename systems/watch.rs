@@ -3,11 +3,11 @@
 
 use super::acceleration::Laws;
 use super::neighbours::Neighbours;
-use super::particles::{Acceleration, Cloud, Density, Identity, Position, Velocity};
+use super::particles::{Acceleration, Cloud, Density, ParticleId, Position, Velocity};
 use super::term::{Stage, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
-use crate::cells::FEWEST;
+use crate::cells::MIN_PARALLEL_LEN;
 use crate::error::Error;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -75,7 +75,7 @@ impl<const D: usize> Term<D> for Watch {
 
 /// The components of a particle that limits depend on.
 type Watched<'a, const D: usize> =
-    (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Acceleration<D>, &'a Density);
+    (&'a ParticleId, &'a Position<D>, &'a Velocity<D>, &'a Acceleration<D>, &'a Density);
 
 /// System: checks every particle after every step.
 pub fn watch<const D: usize>(
@@ -89,7 +89,7 @@ pub fn watch<const D: usize>(
     }
     let mut look = Look::default();
     for (_, r, v, a, rho) in particles.contiguous_iter().into_iter().flatten() {
-        let rows = r.par_iter().zip(v).zip(a).zip(rho).with_min_len(FEWEST);
+        let rows = r.par_iter().zip(v).zip(a).zip(rho).with_min_len(MIN_PARALLEL_LEN);
         let see = |look: Look, (((r, v), a), rho): (((&Position<D>, &Velocity<D>), &_), &_)| {
             look.see(r, v, a, rho)
         };

@@ -78,7 +78,7 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
     let fluid = scene.fluid.constants();
     let medium = Medium { mass: flow.mass(), smoothing: smoothing.clone(), kernel, fluid };
     let FluidConstants { c, gamma, .. } = medium.fluid;
-    let stress = |rho: f64| state::stress(state::tait(rho, c, gamma), rho);
+    let p_over_rho2 = |rho: f64| state::p_over_rho2(state::tait(rho, c, gamma), rho);
     let densities = flow.densities();
     let mut sums = vec![Vector::<f64, D>::zero(); densities.len()];
     let mut forces = Vec::new();
@@ -88,8 +88,8 @@ fn forces_cancel<const D: usize>(kernel: KernelName) {
             let r = space(&scene).minimum_image(state.positions[i] - state.positions[j]);
             let v = state.velocities[i] - state.velocities[j];
             let (rho_i, rho_j) = (densities[i], densities[j]);
-            let pair = Pair { r2: r.norm_squared(), approach: v.dot(r), rho_i, rho_j };
-            (medium.strength(&pair, stress(rho_i) + stress(rho_j)), r)
+            let pair = Pair { r2: r.norm_squared(), v_dot_r: v.dot(r), rho_i, rho_j };
+            (medium.strength(&pair, p_over_rho2(rho_i) + p_over_rho2(rho_j)), r)
         };
         let ((there, r), (back, minus_r)) = (strength(i, j), strength(j, i));
         // A pair's coefficient is symmetric to the bit: forces cancel exactly.
@@ -216,33 +216,33 @@ proptest! {
     #[test]
     fn the_viscosity_of_every_pair_takes_energy_out(
         q in 1e-6..1.999_f64,
-        approach in -10.0..10.0_f64,
+        v_dot_r in -10.0..10.0_f64,
         (rho_i, rho_j) in (0.1..10.0_f64, 0.1..10.0_f64),
         (c, alpha, beta) in (0.1..20.0_f64, 0.0..3.0_f64, 0.0..3.0_f64),
         h in 0.01..3.0_f64,
     ) {
-        let pair = Pair { r2: q * q * h * h, approach, rho_i, rho_j };
+        let pair = Pair { r2: q * q * h * h, v_dot_r, rho_i, rho_j };
         let fluid = FluidConstants { c, alpha, beta, gamma: 7.0, p0: 0.0 };
         let power = |power: f64| {
-            if approach < 0.0 && alpha * c > 0.0 {
+            if v_dot_r < 0.0 && alpha * c > 0.0 {
                 prop_assert!(power < 0.0, "power {power}");
             } else {
                 prop_assert!(power <= 0.0, "power {power}");
             }
             Ok(())
         };
-        // v·f = s v·r of the viscous part alone, which is the force at zero stress.
+        // v·f = s v·r of the viscous part alone, which is the force at zero `P/ρ²`.
         for kernel in KERNELS {
-            power(approach * medium::<2>(kernel, h, fluid).strength(&pair, 0.0))?;
-            power(approach * medium::<3>(kernel, h, fluid).strength(&pair, 0.0))?;
+            power(v_dot_r * medium::<2>(kernel, h, fluid).strength(&pair, 0.0))?;
+            power(v_dot_r * medium::<3>(kernel, h, fluid).strength(&pair, 0.0))?;
         }
     }
 
     #[test]
-    fn a_receding_pair_feels_no_viscosity(approach in 0.0..10.0_f64, q in 0.0..2.0_f64) {
+    fn a_receding_pair_feels_no_viscosity(v_dot_r in 0.0..10.0_f64, q in 0.0..2.0_f64) {
         let fluid = FluidConstants { c: 10.0, alpha: 1.0, beta: 2.0, gamma: 7.0, p0: 0.0 };
         let medium = medium::<3>(KernelName::CubicSpline, 1.0, fluid);
-        let pair = Pair { r2: q * q, approach, rho_i: 1.0, rho_j: 1.0 };
+        let pair = Pair { r2: q * q, v_dot_r, rho_i: 1.0, rho_j: 1.0 };
         prop_assert_eq!(medium.strength(&pair, 0.0).abs().to_bits(), 0);
     }
 }

@@ -11,7 +11,7 @@ use whirls::flow::State;
 use whirls::learn::{Evaluation, Learner};
 use whirls::scene::{Scene, Weights};
 use whirls::sensitivity::{Gradient, Storage};
-use whirls::systems::particles::{Identity, Position, Velocity};
+use whirls::systems::particles::{ParticleId, Position, Velocity};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 use whirls::vector::Vector;
@@ -109,7 +109,7 @@ fn same_bits<const D: usize>(change: impl Fn(&mut World), after: usize) {
 
 /// Marks every third particle, and colours one.
 fn mark(world: &mut World) {
-    let mut particles = world.query::<(Entity, &Identity)>();
+    let mut particles = world.query::<(Entity, &ParticleId)>();
     let all: Vec<(Entity, u32)> = particles.iter(world).map(|(e, id)| (e, id.0)).collect();
     for (entity, id) in all {
         if id % 3 == 1 {
@@ -148,7 +148,7 @@ fn an_entity_with_a_position_that_is_no_particle_changes_no_bit<const D: usize>(
 
 fn entity<const D: usize>(flow: &mut Flow<D>, particle: u32) -> Entity {
     let world = flow.world_mut();
-    let mut particles = world.query::<(Entity, &Identity)>();
+    let mut particles = world.query::<(Entity, &ParticleId)>();
     particles.iter(world).find(|(_, id)| id.0 == particle).unwrap().0
 }
 
@@ -165,7 +165,7 @@ fn a_despawned_particle_is_refused_by_name<const D: usize>() {
         (0..before).for_each(|_| flow.step().unwrap());
         let gone = entity(&mut flow, particle);
         flow.world_mut().despawn(gone);
-        refused(flow.step(), &format!("no entity with Identity({particle}): it was despawned"));
+        refused(flow.step(), &format!("no entity with ParticleId({particle}): it was despawned"));
         // Queries that are still possible do not panic.
         let _ = (flow.state(), flow.densities(), flow.accelerations());
     }
@@ -174,26 +174,26 @@ fn a_despawned_particle_is_refused_by_name<const D: usize>() {
         let gone = entity(learner.flow_mut(), 5);
         learner.flow_mut().world_mut().despawn(gone);
         let result = learner.evaluate(&[8.0, 0.7, 2.6, 5.2], FRAMES).map(|_| ());
-        refused(result, "no entity with Identity(5)");
+        refused(result, "no entity with ParticleId(5)");
     }
     // A system of the step that removes one.
     let mut flow = Flow::<D>::from_state(&scene, &shaken(&scene)).unwrap();
-    let take = |particles: Query<(Entity, &Identity)>, mut commands: Commands| {
+    let take = |particles: Query<(Entity, &ParticleId)>, mut commands: Commands| {
         for (entity, _) in particles.iter().filter(|(_, id)| id.0 == 3) {
             commands.entity(entity).despawn();
         }
     };
     use whirls::systems::Phase;
     flow.schedule_mut().add_systems(take.after(Phase::FirstKick).before(Phase::Drift));
-    refused(flow.step(), "no entity with Identity(3)");
+    refused(flow.step(), "no entity with ParticleId(3)");
 }
 
 fn a_particle_that_is_there_twice_is_refused_by_name<const D: usize>() {
     let scene = scene::<D>(Step::KickDriftKick);
-    for (id, expected) in [(4, "2 entities with Identity(4)"), (100_000, "Identity(100000)")] {
+    for (id, expected) in [(4, "2 entities with ParticleId(4)"), (100_000, "ParticleId(100000)")] {
         let mut flow = Flow::<D>::from_state(&scene, &shaken(&scene)).unwrap();
         flow.step().unwrap();
-        flow.world_mut().spawn((Identity(id), Position(Vector([0.1; D]))));
+        flow.world_mut().spawn((ParticleId(id), Position(Vector([0.1; D]))));
         refused(flow.step(), expected);
         let _ = (flow.state(), flow.densities(), flow.accelerations());
     }

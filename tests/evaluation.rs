@@ -9,7 +9,7 @@ mod place;
 use place::Place;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use whirls::evaluation::{Candidate, Evaluation, Marks, Plan, Source, evaluate};
+use whirls::evaluation::{Candidate, Evaluation, Plan, SampleTimes, Source, evaluate};
 use whirls::output::Output;
 use whirls::parameters::Parameter;
 use whirls::recording::{Flow, TrainStep};
@@ -51,7 +51,7 @@ fn true_values(scene: &Scene) -> impl Fn(&[Parameter]) -> Vec<f64> {
 
 fn plan() -> Plan {
     Plan {
-        marks: Marks { steps: 20, every: 5 },
+        marks: SampleTimes { steps: 20, every: 5 },
         realisations: 2,
         strengths: vec![0.5, 1.0],
         speeds: vec![1.0, 2.0],

@@ -10,7 +10,7 @@ use whirls::flow::Differentiation;
 use whirls::learn::{Evaluation, Learner};
 use whirls::losses::SquareSum;
 use whirls::parameters::Parameter;
-use whirls::scalar::{Lanes, WIDTH};
+use whirls::scalar::{F64x8, WIDTH};
 use whirls::scene::{Forcing, Learn, Weights};
 use whirls::sensitivity::Coupling;
 use whirls::systems::particles::{
@@ -259,7 +259,7 @@ fn sensitivities<const D: usize>(flow: &mut Flow<D>) -> [Vec<u64>; 3] {
         &AccelerationSensitivity<D>,
     )>();
     for (of, r, v, a) in query.iter(world) {
-        let bits = |x: &[Lanes; D]| x.iter().flat_map(|l| l.to_array()).map(f64::to_bits).collect();
+        let bits = |x: &[F64x8; D]| x.iter().flat_map(|l| l.to_array()).map(f64::to_bits).collect();
         rows.push((of.particle, [bits(&r.0.0), bits(&v.0.0), bits(&a.0.0)]));
     }
     rows.sort_by_key(|(particle, _)| *particle);
@@ -330,7 +330,7 @@ fn a_square_sum_over_two_blocks_is_that_of_all_its_columns() {
                 parameter if parameter < COUNT => slope(k, parameter),
                 _ => 0.0,
             };
-            Lanes::new(std::array::from_fn(lane))
+            F64x8::new(std::array::from_fn(lane))
         };
         sums[k % 2].add(weight, residual, columns);
         value += weight * residual * residual;

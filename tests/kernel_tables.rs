@@ -8,7 +8,9 @@ use whirls::kernel::{
     Kernel, KernelChoice, KernelTable, LearnableKernel, LearnableShape, SHAPES, Smoothing, W2, WAb,
     normalisation,
 };
-use whirls::scalar::{Dual, Lanes, Pass, Precision, Scalar, WIDTH, Wide, on_every_instruction_set};
+use whirls::scalar::{
+    Dual, F64x8, Precision, Scalar, SimdFloat, SimdTask, WIDTH, on_every_instruction_set,
+};
 use whirls::{Error, Scene};
 
 in_2d_and_3d!(
@@ -93,7 +95,7 @@ fn errors<S: LearnableShape>(at: [f64; 2], dimension: usize) -> [f64; 4] {
             let parameters = at.map(Dual::<f64, 1>::of);
             scale * S::shape(Dual::variable(q, 0, [0.0]) * 0.5, &parameters).gradient[0]
         };
-        let here = [table.value(q) - formula(q), table.gradient(q) * q - slope].map(f64::abs);
+        let here = [table.value(q) - formula(q), table.dw_over_r(q) * q - slope].map(f64::abs);
         for (number, here) in here.into_iter().enumerate() {
             apart[number] = apart[number].max(here);
             apart[2 + number] = apart[2 + number].max(if q < 0.3 { 0.0 } else { here });
@@ -146,10 +148,10 @@ fn derivatives_by_the_parameters_are_those_of_whole_tables<const D: usize>() {
                 let bound = 1e-10 * here.value(0.0);
                 near(here.value_by(p, r), around.each_ref().map(|w| w.value(r)), bound);
                 let bound = 1e-8 * here.value(0.0) / (H * H);
-                near(here.gradient_by(p, r), around.each_ref().map(|w| w.gradient(r)), bound);
+                near(here.dw_over_r_by(p, r), around.each_ref().map(|w| w.dw_over_r(r)), bound);
             }
         }
-        for beyond in [here.value_by(2, 0.3), here.gradient_by(7, 0.3)] {
+        for beyond in [here.value_by(2, 0.3), here.dw_over_r_by(7, 0.3)] {
             assert_eq!(beyond.to_bits(), 0);
         }
     }
@@ -157,17 +159,17 @@ fn derivatives_by_the_parameters_are_those_of_whole_tables<const D: usize>() {
 
 /// Everything that a table says of eight distances.
 #[derive(Clone)]
-struct Everything<'a, const D: usize>(&'a Smoothing<KernelTable, D>, Lanes);
+struct Everything<'a, const D: usize>(&'a Smoothing<KernelTable, D>, F64x8);
 
-impl<const D: usize> Pass for Everything<'_, D> {
+impl<const D: usize> SimdTask for Everything<'_, D> {
     type Output = [[u64; WIDTH]; 7];
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> Self::Output {
+    fn run<W: SimdFloat>(self) -> Self::Output {
         let (table, r) = (self.0, W::load(&self.1));
-        let [gradient, curvature] = table.slopes(r);
-        let all = [table.value(r), table.gradient(r), table.curvature(r), gradient, curvature];
-        let by = [table.value_by(0, r), table.gradient_by(1, r)];
+        let [gradient, curvature] = table.dw_derivatives(r);
+        let all = [table.value(r), table.dw_over_r(r), table.d_dw_over_r(r), gradient, curvature];
+        let by = [table.value_by(0, r), table.dw_over_r_by(1, r)];
         let bits = |x: W| x.store().to_array().map(f64::to_bits);
         let [value, g, h, g2, h2] = all.map(bits);
         let [by_a, by_b] = by.map(bits);
@@ -179,7 +181,7 @@ fn every_instruction_set_gives_the_same_bits<const D: usize>() {
     for table in every_table(D) {
         let table = Smoothing::<KernelTable, D>::of(table, 0.3);
         for first in 0..20 {
-            let r = Lanes::new(std::array::from_fn(|l| 0.004 * (8 * first + l) as f64));
+            let r = F64x8::new(std::array::from_fn(|l| 0.004 * (8 * first + l) as f64));
             for precision in Precision::ALL {
                 let found = on_every_instruction_set(precision, &Everything(&table, r));
                 for (name, bits) in &found {

@@ -6,7 +6,7 @@ use common::in_2d_and_3d;
 use whirls::kernel::{
     AnyKernel, CubicSpline, Kernel, KernelChoice, NAMES, Smoothing, WendlandC2, WendlandC4,
 };
-use whirls::scalar::{Dual, Lanes, Scalar, WIDTH};
+use whirls::scalar::{Dual, F64x8, Scalar, WIDTH};
 
 in_2d_and_3d!(
     a_kernel_integrates_to_one,
@@ -102,7 +102,7 @@ fn the_mean_place_under_a_kernel_is_its_centre<const D: usize>() {
 fn the_first_moment_of_its_gradient_is_minus_one<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         // ⟨x²⟩ over directions is r²/D, and ∂W/∂x = G x.
-        let moment = integral(|r| surface::<D>(r) * w.gradient(r) * r * r / D as f64);
+        let moment = integral(|r| surface::<D>(r) * w.dw_over_r(r) * r * r / D as f64);
         assert!((moment + 1.0).abs() < quadrature(w), "{name}: {moment}");
     }
     every_kernel!(check, D);
@@ -122,23 +122,23 @@ fn gradient_and_curvature_are_derivatives_of_the_kernel<const D: usize>() {
         for q in places() {
             let r = q * H;
             let variable = Dual::variable(r, 0, [0.0]);
-            let (slope, bend) = (w.value(variable).gradient[0], w.gradient(variable).gradient[0]);
+            let (slope, bend) = (w.value(variable).gradient[0], w.dw_over_r(variable).gradient[0]);
             // A few roundings of the largest slope; the knots are rounded, too.
-            let apart = (w.gradient(r) * r - slope).abs();
+            let apart = (w.dw_over_r(r) * r - slope).abs();
             assert!(apart < 1e-14 * scale, "{name}: W'({q} h) off by {apart:e}");
             if (q - 1.0).abs() > 1e-8 {
                 // Between the knots: at one the cubic spline's third derivative jumps.
-                let apart = (w.curvature(r) * r - bend).abs();
+                let apart = (w.d_dw_over_r(r) * r - bend).abs();
                 assert!(apart < 1e-13 * scale / (H * r), "{name}: G'({q} h) off by {apart:e}");
             }
             // Differences as well, so that an error of dual numbers cannot hide one of the formula.
             let step = 3e-6 * H;
             if q > 1e-4 && (q - 1.0).abs() > 1e-4 && (q - 2.0).abs() > 1e-4 {
                 let difference = (w.value(r + step) - w.value(r - step)) / (2.0 * step);
-                let apart = (w.gradient(r) * r - difference).abs();
+                let apart = (w.dw_over_r(r) * r - difference).abs();
                 assert!(apart < 1e-9 * scale, "{name}: W'({q} h) is not {difference}");
-                let difference = (w.gradient(r + step) - w.gradient(r - step)) / (2.0 * step);
-                let apart = (w.curvature(r) * r - difference).abs();
+                let difference = (w.dw_over_r(r + step) - w.dw_over_r(r - step)) / (2.0 * step);
+                let apart = (w.d_dw_over_r(r) * r - difference).abs();
                 assert!(apart < 1e-8 * scale / (H * H), "{name}: G'({q} h) is not {difference}");
             }
         }
@@ -149,12 +149,12 @@ fn gradient_and_curvature_are_derivatives_of_the_kernel<const D: usize>() {
 fn a_kernel_is_finite_where_two_particles_meet<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         for r in [0.0, f64::MIN_POSITIVE, 1e-200, 1e-100, 1e-16] {
-            let all = [w.value(r), w.gradient(r), w.curvature(r) * r, w.curvature(r) * r * r];
+            let all = [w.value(r), w.dw_over_r(r), w.d_dw_over_r(r) * r, w.d_dw_over_r(r) * r * r];
             assert!(all.iter().all(|x| x.is_finite()), "{name} at {r:e}: {all:?}");
         }
-        assert!(w.gradient(0.0) < 0.0, "{name}");
+        assert!(w.dw_over_r(0.0) < 0.0, "{name}");
         // The sensitivities use rᵢⱼ (H rᵢⱼ·δrᵢⱼ), which vanishes at the centre.
-        assert_eq!((w.curvature(0.0) * 0.0 * 0.0).abs().to_bits(), 0, "{name}");
+        assert_eq!((w.d_dw_over_r(0.0) * 0.0 * 0.0).abs().to_bits(), 0, "{name}");
     }
     every_kernel!(check, D);
 }
@@ -163,7 +163,7 @@ fn a_kernel_vanishes_from_two_smoothing_lengths_on<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         let edge = w.support();
         for r in [edge, edge * (1.0 + f64::EPSILON), 3.0, 1e10, 1e150] {
-            for value in [w.value(r), w.gradient(r), w.curvature(r)] {
+            for value in [w.value(r), w.dw_over_r(r), w.d_dw_over_r(r)] {
                 assert_eq!(value.abs().to_bits(), 0, "{name} at {r}: {value}");
             }
         }
@@ -176,7 +176,7 @@ fn a_kernel_falls_everywhere_inside_its_support<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         for k in 0..1990 {
             let (r, next) = (0.001 * f64::from(k) * H, 0.001 * f64::from(k + 1) * H);
-            assert!(w.value(next) < w.value(r) && w.gradient(next) < 0.0, "{name} at {r}");
+            assert!(w.value(next) < w.value(r) && w.dw_over_r(next) < 0.0, "{name} at {r}");
         }
     }
     every_kernel!(check, D);
@@ -186,12 +186,12 @@ fn lanes_give_the_bits_of_single_numbers<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         for eight in places().chunks_exact(WIDTH) {
             let r: [f64; WIDTH] = std::array::from_fn(|lane| eight[lane] * H);
-            let lanes = Lanes::new(r);
-            let bits = |lanes: Lanes| lanes.to_array().map(f64::to_bits);
+            let lanes = F64x8::new(r);
+            let bits = |lanes: F64x8| lanes.to_array().map(f64::to_bits);
             assert_eq!(bits(w.value(lanes)), r.map(|r| w.value(r).to_bits()), "{name}");
-            assert_eq!(bits(w.gradient(lanes)), r.map(|r| w.gradient(r).to_bits()), "{name}");
-            assert_eq!(bits(w.curvature(lanes)), r.map(|r| w.curvature(r).to_bits()), "{name}");
-            let back = Lanes::of(r[0]).to_array();
+            assert_eq!(bits(w.dw_over_r(lanes)), r.map(|r| w.dw_over_r(r).to_bits()), "{name}");
+            assert_eq!(bits(w.d_dw_over_r(lanes)), r.map(|r| w.d_dw_over_r(r).to_bits()), "{name}");
+            let back = F64x8::of(r[0]).to_array();
             assert_eq!(back.map(f64::to_bits), [r[0].to_bits(); WIDTH]);
         }
     }
@@ -202,10 +202,10 @@ fn slopes_at_once_are_gradient_and_curvature<const D: usize>() {
     fn check<K: Kernel, const D: usize>(name: &str, w: &Smoothing<K, D>) {
         for k in 0..60 {
             let r = 0.04 * f64::from(k) * H;
-            let [gradient, curvature] = w.slopes(r);
+            let [gradient, curvature] = w.dw_derivatives(r);
             let near = |a: f64, b: f64| (a - b).abs() <= 1e-14 * a.abs().max(1e-300);
-            assert!(near(w.gradient(r), gradient), "{name} at {r}");
-            assert!(near(w.curvature(r), curvature), "{name} at {r}");
+            assert!(near(w.dw_over_r(r), gradient), "{name} at {r}");
+            assert!(near(w.d_dw_over_r(r), curvature), "{name} at {r}");
         }
     }
     every_kernel!(check, D);

@@ -119,10 +119,10 @@ impl Plain {
                 if slope >= 0.0 {
                     continue;
                 }
-                let approach: f64 = (0..apart.len()).map(|a| (v[i][a] - v[j][a]) * apart[a]).sum();
+                let v_dot_r: f64 = (0..apart.len()).map(|a| (v[i][a] - v[j][a]) * apart[a]).sum();
                 let mean = (rho[i] + rho[j]) / 2.0;
-                let viscous = if approach < 0.0 {
-                    let mu = self.h * approach / (distance * distance + 0.01 * self.h * self.h);
+                let viscous = if v_dot_r < 0.0 {
+                    let mu = self.h * v_dot_r / (distance * distance + 0.01 * self.h * self.h);
                     (-self.alpha * self.c * mu + self.beta * mu * mu) / mean
                 } else {
                     0.0

@@ -14,8 +14,8 @@ use whirls::learn::Learner;
 use whirls::models::Medium;
 use whirls::network::{exp, tanh};
 use whirls::packed::{Packed, PackedAdjoint, PackedSingle};
-use whirls::pairs::{Batch, Draft, Eight, Lines, Surroundings, adjoints, separation};
-use whirls::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
+use whirls::pairs::{Batch, Eight, Lines, ListBuilder, Surroundings, adjoints, separation};
+use whirls::scalar::{F64x8, Precision, SimdFloat, SimdTask, WIDTH, on_every_instruction_set};
 use whirls::scene::Scene;
 use whirls::sensitivity::Gradient;
 use whirls::systems::verlet::Step;
@@ -43,16 +43,16 @@ struct Everything<'a, const D: usize> {
     length: f64,
 }
 
-impl<const D: usize> Pass for Everything<'_, D> {
+impl<const D: usize> SimdTask for Everything<'_, D> {
     type Output = Vec<u64>;
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> Vec<u64> {
+    fn run<W: SimdFloat>(self) -> Vec<u64> {
         let space = whirls::space::PeriodicBox { length: self.length };
         let space = Surroundings { space, seam: true };
         let mut bits = Vec::new();
-        let mut put = |x: Lanes| bits.extend(x.to_array().map(f64::to_bits));
-        let mut chunk = Draft::default();
+        let mut put = |x: F64x8| bits.extend(x.to_array().map(f64::to_bits));
+        let mut chunk = ListBuilder::default();
         chunk.clear();
         for (here, slots) in self.slots.iter().enumerate() {
             let slots = Eight::from(slots);
@@ -70,15 +70,15 @@ impl<const D: usize> Pass for Everything<'_, D> {
             }
             adjoints::<W>(self.adjoint, slots).into_iter().for_each(|x| put(x.store()));
             slope.by_parameter.into_iter().for_each(|x| put(x.store()));
-            let x = W::Double::load(&batch.stress_j.store());
+            let x = W::Double::load(&batch.p_over_rho2_j.store());
             put(tanh(x).store());
             put(exp(-x.abs()).store());
-            put(W::narrow(x).copysign(-batch.stress_j).store());
+            put(W::narrow(x).copysign(-batch.p_over_rho2_j).store());
             chunk.open(3 * WIDTH);
             let [near, maybe] = W::near(self.columns, [7_000_000; D], here, [1e18, 2e18]);
             chunk.append_mask::<W>(near ^ maybe.rotate_left(3), here);
             chunk.close(0, false);
-            put(Lanes::new([r.norm_squared().widen().sum(); WIDTH]));
+            put(F64x8::new([r.norm_squared().widen().sum(); WIDTH]));
         }
         chunk.finish();
         let lists = (0..chunk.len()).flat_map(|k| chunk.neighbours(k).as_flattened());
@@ -97,7 +97,7 @@ fn every_instruction_set_gives_the_bits_of_the_plain_one<const D: usize>() {
             position: std::array::from_fn(|axis| if axis < D { number(0.0, length) } else { 0.0 }),
             velocity: std::array::from_fn(|axis| if axis < D { number(-2.0, 2.0) } else { 0.0 }),
             density: number(0.5, 1.5),
-            stress: number(-3.0, 3.0),
+            p_over_rho2: number(-3.0, 3.0),
         })
         .collect();
     // Close pairs, coincident particles, and the periodic boundary.
@@ -106,8 +106,8 @@ fn every_instruction_set_gives_the_bits_of_the_plain_one<const D: usize>() {
     double[3].position = [length * (1.0 - 1e-16), 0.0, 0.0];
     let space = common::space(&scene);
     let mut single: Vec<_> = double.iter().map(|line| PackedSingle::new(line, space)).collect();
-    double.push(Packed::NOBODY);
-    single.push(PackedSingle::NOBODY);
+    double.push(Packed::SENTINEL);
+    single.push(PackedSingle::SENTINEL);
     let adjoint: Vec<_> = (0..65)
         .map(|_| PackedAdjoint { force: [0.0; 3].map(|_| number(-1.0, 1.0)), density: 0.25 })
         .collect();

@@ -487,7 +487,7 @@ fn a_frame_is_the_state_of_the_flow_wherever_its_particles_lie_in_memory() {
             if marked {
                 let world = flow.world_mut();
                 let mut ids = world
-                    .query::<(bevy_ecs::entity::Entity, &whirls::systems::particles::Identity)>();
+                    .query::<(bevy_ecs::entity::Entity, &whirls::systems::particles::ParticleId)>();
                 let third = ids.iter(world).find(|(_, id)| id.0 == 3).unwrap().0;
                 world.entity_mut(third).insert(Marked);
             }

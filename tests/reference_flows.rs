@@ -84,8 +84,9 @@ impl<const D: usize> Fluid<D> {
                 let mu = self.h * along.min(0.0) / (r2 + 0.01 * self.h * self.h);
                 let viscous =
                     (self.beta * mu - self.alpha * self.c) * mu / (0.5 * (rho[i] + rho[j]));
-                let stress = [i, j].map(|i| pressure(rho[i]) / rho[i].powi(2)).iter().sum::<f64>();
-                let s = -self.mass * (stress + viscous) * self.kernel(r2.sqrt()).1;
+                let p_over_rho2 =
+                    [i, j].map(|i| pressure(rho[i]) / rho[i].powi(2)).iter().sum::<f64>();
+                let s = -self.mass * (p_over_rho2 + viscous) * self.kernel(r2.sqrt()).1;
                 (0..D).for_each(|k| a[k] += s * d[k]);
             }
             a

@@ -8,7 +8,7 @@ mod common;
 
 use common::{in_2d_and_3d, shaken};
 use std::f64::consts::PI;
-use whirls::flow::{Differentiation, Held};
+use whirls::flow::{Differentiation, MemoryReport};
 use whirls::learn::Learner;
 use whirls::pairs::CHUNK;
 use whirls::parameters::Parameter;
@@ -180,7 +180,7 @@ fn lists(scene: &Scene) -> [f64; 2] {
 fn columns_of_a_flow(scene: &Scene) -> Vec<Expected> {
     let vector = 8.0 * scene.dimension as f64;
     let component = |name, bytes: f64| exactly("components", name, bytes + TICKS);
-    let mut all = vec![component("Identity", 4.0)];
+    let mut all = vec![component("ParticleId", 4.0)];
     all.extend(["Position", "Velocity", "Acceleration"].map(|name| component(name, vector)));
     all.extend([component("Density", 8.0), exactly("components", "entity", ENTITY)]);
     // A cache line whatever the dimension.
@@ -289,7 +289,7 @@ fn columns_of_observations(scene: &Scene) -> Vec<Expected> {
 
 /// Asserts that the columns are those expected, each within its bytes.
 #[track_caller]
-fn assert_columns(about: &str, found: &[Held], expected: &[Expected]) {
+fn assert_columns(about: &str, found: &[MemoryReport], expected: &[Expected]) {
     let name = |part: &str, name: &str| format!("{part}: {name}");
     let mut names: Vec<String> = found.iter().map(|held| name(held.part, &held.name)).collect();
     let mut wanted: Vec<String> = expected.iter().map(|(part, own, _)| name(part, own)).collect();
@@ -542,7 +542,7 @@ fn what_is_not_learned_takes_neither_systems_nor_memory<const D: usize>() {
         };
         assert_eq!(named(&simulated), 0, "{word}");
     }
-    let parts = Held::parts(&simulated.held);
+    let parts = MemoryReport::parts(&simulated.held);
     let names: Vec<&str> = parts.iter().map(|(name, _)| *name).collect();
     assert_eq!(names, ["components", "cloud", "neighbour lists", "recording"]);
     for more in ["sensitivities", "observations", "truth", "search"] {

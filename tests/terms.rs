@@ -17,7 +17,7 @@ use whirls::scene::Scene;
 use whirls::sensitivity::Gradient;
 use whirls::systems::columns::Column;
 use whirls::systems::particle_force::{ParticleForce, ParticleState};
-use whirls::systems::particles::{Cloud, Identity, Velocity};
+use whirls::systems::particles::{Cloud, ParticleId, Velocity};
 use whirls::systems::term::{Stage, Term};
 use whirls::systems::{Needs, Occasion, Phase};
 use whirls::truth::Truth;
@@ -71,7 +71,7 @@ impl CentralForce<2> for SoftSpheres {
 
     fn strength<T: Scalar>(&self, pair: &Pair<T>, h: f64, [k, damping]: [T; 2]) -> T {
         let inside = (T::of(1.0) - pair.r2 / (4.0 * h * h)).max(T::of(0.0));
-        (k * (pair.rho_i + pair.rho_j) * 0.5 - damping * pair.approach) * inside * inside
+        (k * (pair.rho_i + pair.rho_j) * 0.5 - damping * pair.v_dot_r) * inside * inside
     }
 }
 
@@ -276,7 +276,7 @@ fn a_system_that_changes_a_differentiated_flow_is_refused_by_name<const D: usize
     fn look<const D: usize>(velocities: Query<&Velocity<D>>) {
         assert!(velocities.iter().all(|v| v.0.is_finite()));
     }
-    fn take(particles: Query<Entity, With<Identity>>, mut commands: Commands) {
+    fn take(particles: Query<Entity, With<ParticleId>>, mut commands: Commands) {
         particles.iter().take(0).for_each(|entity| commands.entity(entity).despawn());
     }
     let scene = scene::<D>("kick-drift-kick", "{field=1.0}", "forward");
@@ -340,7 +340,7 @@ fn a_column_of_a_term_is_spawned_reset_and_kept_in_snapshots<const D: usize>() {
     let flow = learner.flow_mut();
     let count = |flow: &mut Flow<D>| -> Vec<u64> {
         let world = flow.world_mut();
-        let mut kicks = world.query::<(&Identity, &Kicks)>();
+        let mut kicks = world.query::<(&ParticleId, &Kicks)>();
         kicks.iter(world).map(|(_, kicks)| kicks.0).collect()
     };
     assert_eq!(count(flow), vec![0; scene.particles()]);

@@ -10,7 +10,7 @@ use whirls::flow::State;
 use whirls::parameters::Parameter;
 use whirls::scene::Forcing;
 use whirls::systems::neighbours::Neighbours;
-use whirls::systems::particles::{Cloud, Identity, Velocity};
+use whirls::systems::particles::{Cloud, ParticleId, Velocity};
 use whirls::systems::verlet::Step;
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Scene};
@@ -63,7 +63,7 @@ fn ten_thousand_times_the_step_is_refused_with_a_reason<const D: usize>() {
 /// Puts NaN into the velocity of one particle of a running flow.
 fn plant<const D: usize>(flow: &mut Flow<D>, particle: u32) {
     let world = flow.world_mut();
-    let mut rows = world.query::<(&Identity, &mut Velocity<D>)>();
+    let mut rows = world.query::<(&ParticleId, &mut Velocity<D>)>();
     let mut found = rows.iter_mut(world).filter(|(id, _)| id.0 == particle);
     found.next().unwrap().1.0[D - 1] = f64::NAN;
 }

@@ -18,7 +18,7 @@ use whirls::recording::Recording;
 use whirls::run::{
     EvaluationFiles, Guard, Origin, admit, must_be_trained, simulation_must_fit, write_evaluation,
 };
-use whirls::trade::settle;
+use whirls::trade::calibrate_step;
 use whirls::{Error, Flow, Result, Scene, interrupt};
 
 /// Measures how well learned models know the flow: errors by horizon, by strength of the stirring and by
@@ -161,7 +161,7 @@ fn run<const D: usize>(
     recorded: Option<&Path>,
 ) -> Result<()> {
     let _folder = reserve_folder(arguments)?;
-    let choice = settle(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
+    let choice = calibrate_step(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
     let scene = &choice.scene;
     let mut candidates = Vec::new();
     for path in &arguments.learned {

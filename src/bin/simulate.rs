@@ -23,9 +23,9 @@ use whirls::run::{
     Given, Guard, Requirements, admit_state, begin_recording, run_info, run_recorded,
     simulation_must_fit,
 };
-use whirls::scene::Chosen;
+use whirls::scene::CalibratedStep;
 use whirls::statistics::conservation;
-use whirls::trade::settle;
+use whirls::trade::calibrate_step;
 use whirls::{Flow, Result, Scene};
 
 /// Runs the flow of a scene forward and records it.
@@ -74,7 +74,7 @@ struct Report {
     energy_drift: f64,
     bytes_per_particle: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    chosen: Option<Chosen>,
+    chosen: Option<CalibratedStep>,
     recording: Option<PathBuf>,
 }
 
@@ -112,7 +112,7 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         None => Ok(Flow::<D>::new(scene)?.state()),
         Some(state) => Ok(state.clone()),
     };
-    let choice = settle(scene, start)?;
+    let choice = calibrate_step(scene, start)?;
     describe_choice(&choice, arguments.common.explain);
     let scene = &choice.scene;
     let mut flow = Flow::<D>::from_state(scene, &start(scene)?)?;

@@ -19,7 +19,9 @@ use whirls::output::Output;
 use whirls::run::{
     Guard, PriceFiles, Requirements, simulation_must_fit, training_must_fit, write_prices,
 };
-use whirls::trade::{Plan, Prices, price_flows, price_gradients, price_learning, report, settle};
+use whirls::trade::{
+    Plan, Prices, calibrate_step, price_flows, price_gradients, price_learning, report,
+};
 use whirls::truth::Truth;
 use whirls::{Flow, Result, Scene, interrupt};
 
@@ -63,7 +65,7 @@ fn main() -> ExitCode {
 }
 
 fn trade<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let choice = settle(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
+    let choice = calibrate_step(scene, |written| Ok(Flow::<D>::new(written)?.state()))?;
     describe_choice(&choice, arguments.common.explain);
     let scene = &choice.scene;
     if arguments.common.explain {

@@ -27,7 +27,7 @@ use whirls::output::Output;
 use whirls::recording::Recording;
 use whirls::run::{
     Earlier, Given, Guard, Lesson, Progress, Requirements, Training, TrainingReport,
-    settle_training, training_must_fit,
+    calibrate_training, training_must_fit,
 };
 use whirls::{Error, Result, Scene};
 
@@ -100,7 +100,7 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let waiting = progress(0, "truth");
     let force = arguments.force;
     let given = arguments.truth.as_deref().map(|path| Given { path, force });
-    let choice = settle_training::<D>(scene, given)?;
+    let choice = calibrate_training::<D>(scene, given)?;
     let scene = &choice.scene;
     let lesson = Lesson::<D>::new(scene, given)?;
     lesson.warnings.iter().for_each(|text| warn(text));

@@ -31,7 +31,7 @@ impl Errors {
 /// States of a flow at some of its steps, and its errors at every step. A step is one that the
 /// scene observes.
 #[derive(Clone, Debug, Default)]
-pub struct Course<const D: usize> {
+pub struct Rollout<const D: usize> {
     /// Errors against the truth; empty for the truth itself.
     pub errors: Errors,
     /// States at the marks, until the flow diverged.
@@ -46,14 +46,14 @@ pub struct Course<const D: usize> {
 
 /// The number of steps of a flow, and the steps at which its state is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Marks {
+pub struct SampleTimes {
     /// Number of steps.
     pub steps: u64,
     /// Steps between two marks; the first mark is step zero.
     pub every: u64,
 }
 
-impl Marks {
+impl SampleTimes {
     /// The marked steps.
     pub fn marked(self) -> impl Iterator<Item = u64> {
         (0..=self.steps).step_by(self.every.max(1) as usize)
@@ -81,12 +81,12 @@ pub fn observations<const D: usize>(
     Ok(Observations { kl, ..truth.observations(scene, &learn)? })
 }
 
-impl<const D: usize> Course<D> {
+impl<const D: usize> Rollout<D> {
     /// The course of a truth.
     ///
     /// # Errors
     /// As [`Flow::from_state`].
-    pub fn of_truth(scene: &Scene, truth: &Truth<D>, marks: Marks) -> Result<Self> {
+    pub fn of_truth(scene: &Scene, truth: &Truth<D>, marks: SampleTimes) -> Result<Self> {
         let marked = || marks.marked().map(|step| step as usize);
         let states: Vec<State<D>> = marked().map(|k| truth.states[k].clone()).collect();
         let densities = marked().map(|k| truth.densities[k].clone()).collect();
@@ -106,7 +106,7 @@ impl<const D: usize> Course<D> {
         (scene, candidate): (&Scene, &Candidate),
         truth: &Truth<D>,
         observations: &Observations<D>,
-        marks: Marks,
+        marks: SampleTimes,
         tick: &mut dyn FnMut(),
     ) -> Result<Self> {
         let mut flow = candidate.flow(scene, &truth.states[0], Some(observations.clone()))?;

@@ -1,12 +1,12 @@
 //! The figures of a report.
 
-use super::signature::{Bells, later};
-use super::{Circumstance, Errors, Evaluation, Signature, Spread};
+use super::signature::{KernelDensities, later};
+use super::{Errors, Evaluation, FlowStatistics, Spread, TestCase};
 use crate::error::Result;
 use crate::report::{Axis, Curve, Figure, Role, Scale, Span};
 
 /// One quantity of a statistic, as a function of the points of its axis.
-type Of = fn(&Signature) -> Vec<f64>;
+type Of = fn(&FlowStatistics) -> Vec<f64>;
 
 /// The description of a figure: name, title, caption, labels and scales of both axes.
 struct About(&'static str, &'static str, &'static str, [(&'static str, Scale); 2]);
@@ -107,11 +107,11 @@ impl<const D: usize> Evaluation<D> {
     }
 
     /// Curves of the mean field error over a horizon, by circumstance.
-    fn by_circumstance(&self, all: &[Circumstance], horizon: usize, relative: bool) -> Vec<Curve> {
+    fn by_circumstance(&self, all: &[TestCase], horizon: usize, relative: bool) -> Vec<Curve> {
         let x: Vec<f64> = all.iter().map(|one| one.value).collect();
         let one = |(k, name): (usize, &str)| {
             let sample = |r: usize| {
-                let error = |one: &Circumstance| {
+                let error = |one: &TestCase| {
                     let scale = if relative { one.power[r] } else { 1.0 };
                     one.errors[r][k].mean_field(horizon) / scale
                 };
@@ -223,7 +223,7 @@ impl<const D: usize> Evaluation<D> {
         ];
         for (about, of) in all {
             let truth: Vec<f64> = self.truths.iter().flat_map(of).collect();
-            let bells = Bells::new(&truth)?;
+            let bells = KernelDensities::new(&truth)?;
             let nodes = || bells.nodes.clone();
             let mut curves = vec![plain(("truth", Role::Truth), nodes(), seen(bells.of(&truth)))];
             for (k, name) in self.names() {

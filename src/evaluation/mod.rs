@@ -18,8 +18,8 @@ mod symmetry;
 mod tables;
 
 pub use candidate::Candidate;
-pub use course::{Course, Errors, Marks, observations};
-pub use signature::{Distance, Signature};
+pub use course::{Errors, Rollout, SampleTimes, observations};
+pub use signature::{Distance, FlowStatistics};
 pub use spread::Spread;
 pub use symmetry::Symmetry;
 pub use tables::Summary;
@@ -37,7 +37,7 @@ use crate::vector::Vector;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// The number of steps of a flow, and its marks.
-    pub marks: Marks,
+    pub marks: SampleTimes,
     /// Seeds of the flow, counted up from the scene's.
     pub realisations: u64,
     /// Forcing strengths `θ`.
@@ -55,7 +55,7 @@ impl Plan {
     /// horizon of the training.
     pub fn new(trained: usize) -> Self {
         Self {
-            marks: Marks { steps: 200, every: 5 },
+            marks: SampleTimes { steps: 200, every: 5 },
             realisations: 3,
             strengths: vec![0.1, 0.2, 0.4, 0.8, 1.6],
             speeds: vec![0.25, 0.5, 1.0, 2.0, 3.0],
@@ -66,7 +66,7 @@ impl Plan {
     /// A short check: sixty steps, two realisations, two strengths.
     pub fn quick(trained: usize) -> Self {
         Self {
-            marks: Marks { steps: 60, every: 5 },
+            marks: SampleTimes { steps: 60, every: 5 },
             realisations: 2,
             strengths: vec![0.25, 1.0],
             speeds: vec![0.5, 2.0],
@@ -106,7 +106,7 @@ pub struct Trial {
     /// Errors by step.
     pub errors: Errors,
     /// Statistics.
-    pub signature: Signature,
+    pub signature: FlowStatistics,
     /// The step at which it diverged.
     pub diverged: Option<u64>,
     /// Symmetries of its law in the first state; NaN where they cannot be evaluated.
@@ -116,7 +116,7 @@ pub struct Trial {
 /// Errors under other circumstances, realisation by realisation, up to the longer horizon of a
 /// [`Plan`].
 #[derive(Clone, Debug)]
-pub struct Circumstance {
+pub struct TestCase {
     /// The forcing strength, or the Mach number: root-mean-square speed over `c` at the start.
     pub value: f64,
     /// `⟨|V|²⟩/D` of the true field by realisation, for relative errors.
@@ -144,7 +144,7 @@ pub struct Evaluation<const D: usize> {
     /// The candidates.
     pub candidates: Vec<Candidate>,
     /// By realisation, the truth's statistics.
-    pub truths: Vec<Signature>,
+    pub truths: Vec<FlowStatistics>,
     /// By realisation, each candidate's trial.
     pub trials: Vec<Vec<Trial>>,
     /// By step: the KL between independent realisations of the truth.
@@ -154,9 +154,9 @@ pub struct Evaluation<const D: usize> {
     /// Distances between the statistics of any two truths.
     pub distances: Vec<Distance>,
     /// By strength of the stirring.
-    pub strengths: Vec<Circumstance>,
+    pub strengths: Vec<TestCase>,
     /// By Mach number.
-    pub machs: Vec<Circumstance>,
+    pub machs: Vec<TestCase>,
     /// Densities at which equations of state are compared.
     pub densities: Vec<f64>,
     /// The lowest and the highest density over the training's horizon.
@@ -168,7 +168,7 @@ pub struct Evaluation<const D: usize> {
     /// Circumstances left out because the truth itself diverged, with the reason.
     pub left_out: Vec<String>,
     /// The courses of the first realisation: the truth, then every candidate.
-    pub courses: Vec<(String, Course<D>)>,
+    pub courses: Vec<(String, Rollout<D>)>,
 }
 
 /// Measures everything; `tick` is called after every step of a learned flow.
@@ -289,18 +289,18 @@ impl<const D: usize> Evaluation<D> {
         tick: &mut dyn FnMut(),
     ) -> Result<()> {
         for (k, (truth, observed)) in truths.iter().zip(observed).enumerate() {
-            let course = Course::of_truth(&self.scene, truth, self.plan.marks)?;
-            self.truths.push(Signature::of(&self.scene, &course));
+            let course = Rollout::of_truth(&self.scene, truth, self.plan.marks)?;
+            self.truths.push(FlowStatistics::of(&self.scene, &course));
             if k == 0 {
                 self.courses.push(("truth".to_owned(), course));
             }
             let mut trials = Vec::new();
             for candidate in &self.candidates {
                 let who = (&self.scene, candidate);
-                let course = Course::of_candidate(who, truth, observed, self.plan.marks, tick)?;
+                let course = Rollout::of_candidate(who, truth, observed, self.plan.marks, tick)?;
                 trials.push(Trial {
                     errors: course.errors.clone(),
-                    signature: Signature::of(&self.scene, &course),
+                    signature: FlowStatistics::of(&self.scene, &course),
                     diverged: course.diverged,
                     symmetry: Symmetry::of(candidate, &truth.states[0])
                         .unwrap_or(Symmetry::UNKNOWN),
@@ -353,7 +353,7 @@ impl<const D: usize> Evaluation<D> {
         for candidate in &self.candidates {
             let flow = candidate.flow(&self.scene, &truth.states[0], None)?;
             let physical = candidate.learn()?.model == ModelChoice::Physics;
-            if physical || flow.model().has_stress_network() {
+            if physical || flow.model().has_p_over_rho2_network() {
                 let values = self.densities.iter().map(|&rho| flow.pressure(rho)).collect();
                 self.pressures.push(Pressure { name: candidate.name.clone(), values });
             }
@@ -430,10 +430,10 @@ impl<const D: usize> Evaluation<D> {
         value: f64,
         truths: &[(Scene, Truth<D>)],
         tick: &mut dyn FnMut(),
-    ) -> Result<Circumstance> {
+    ) -> Result<TestCase> {
         let steps = self.plan.horizons[1] as u64;
-        let marks = Marks { steps, every: steps.max(1) };
-        let mut found = Circumstance { value, power: Vec::new(), errors: Vec::new() };
+        let marks = SampleTimes { steps, every: steps.max(1) };
+        let mut found = TestCase { value, power: Vec::new(), errors: Vec::new() };
         for (scene, truth) in truths {
             let observed = observations(scene, (self.learn()?, false), truth)?;
             let last = observed.frames.last().map(|frame| &frame.field);
@@ -441,7 +441,7 @@ impl<const D: usize> Evaluation<D> {
             let mut errors = Vec::new();
             for candidate in &self.candidates {
                 let who = (scene, candidate);
-                errors.push(Course::of_candidate(who, truth, &observed, marks, tick)?.errors);
+                errors.push(Rollout::of_candidate(who, truth, &observed, marks, tick)?.errors);
             }
             found.errors.push(errors);
         }

@@ -1,6 +1,6 @@
 //! Statistics of a flow: of single particles, of pairs, and of its velocity field.
 
-use super::{Course, Marks};
+use super::{Rollout, SampleTimes};
 use crate::error::Result;
 use crate::losses::{Density1d, Mesh};
 use crate::scene::Scene;
@@ -20,7 +20,7 @@ const NODES: usize = 101;
 
 /// The statistics of one course. The first group has one entry per mark after the first.
 #[derive(Clone, Debug, Default)]
-pub struct Signature {
+pub struct FlowStatistics {
     /// Variance of `δu(τ)`, mean over components.
     pub variance: Vec<f64>,
     /// Flatness of `δu(τ)`, mean over components: 3 for a normal distribution.
@@ -39,9 +39,9 @@ pub struct Signature {
     pub accelerations: Vec<f64>,
 }
 
-impl Signature {
+impl FlowStatistics {
     /// Of a course, up to its divergence.
-    pub fn of<const D: usize>(scene: &Scene, course: &Course<D>) -> Self {
+    pub fn of<const D: usize>(scene: &Scene, course: &Rollout<D>) -> Self {
         let (Some(first), Some(last)) = (course.states.first(), course.states.last()) else {
             return Self::default();
         };
@@ -71,7 +71,7 @@ impl Signature {
     }
 
     /// Spectrum and structure functions, means over the last marks.
-    fn fields<const D: usize>(&mut self, scene: &Scene, course: &Course<D>) {
+    fn fields<const D: usize>(&mut self, scene: &Scene, course: &Rollout<D>) {
         let per_axis = (scene.particles() as f64).powf(1.0 / D as f64).round() as usize;
         let mesh = Mesh { per_axis, length: scene.fluid.box_length };
         let late = course.states.len().saturating_sub(AVERAGED).max(1);
@@ -122,9 +122,10 @@ pub struct Distance {
 
 impl Distance {
     /// Between two signatures at the same marks.
-    pub fn between(model: &Signature, truth: &Signature) -> Self {
-        let second = |s: &Signature| s.structure.iter().map(|s| s.second).collect::<Vec<_>>();
-        let square = |s: &Signature| vec![Moments::of(s.accelerations.iter().copied()).variance];
+    pub fn between(model: &FlowStatistics, truth: &FlowStatistics) -> Self {
+        let second = |s: &FlowStatistics| s.structure.iter().map(|s| s.second).collect::<Vec<_>>();
+        let square =
+            |s: &FlowStatistics| vec![Moments::of(s.accelerations.iter().copied()).variance];
         Self {
             displacement: logarithmic(&model.displacement, &truth.displacement),
             dispersion: logarithmic(&model.dispersion, &truth.dispersion),
@@ -146,13 +147,13 @@ fn logarithmic(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// A kernel density estimate, on nodes that all compared samples share.
-pub(super) struct Bells {
+pub(super) struct KernelDensities {
     /// Positions of the nodes.
     pub(super) nodes: Vec<f64>,
     density: Density1d,
 }
 
-impl Bells {
+impl KernelDensities {
     /// On the nodes of the truth's samples.
     pub(super) fn new(truth: &[f64]) -> Result<Self> {
         let density = Density1d::new(truth, NODES)?;
@@ -167,6 +168,6 @@ impl Bells {
 }
 
 /// Times of the marks after the first, in steps.
-pub(super) fn later(marks: Marks) -> Vec<f64> {
+pub(super) fn later(marks: SampleTimes) -> Vec<f64> {
     marks.marked().skip(1).map(|step| step as f64).collect()
 }

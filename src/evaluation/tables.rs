@@ -1,7 +1,7 @@
 //! An [`Evaluation`] as a report, and its tables. "The paper" is Woodward et al., arXiv:2110.13311: see
 //! `docs/equations.md`.
 
-use super::{Candidate, Circumstance, Distance, Errors, Evaluation, Plan, Spread, Symmetry, Trial};
+use super::{Candidate, Distance, Errors, Evaluation, Plan, Spread, Symmetry, TestCase, Trial};
 use crate::report::{Cell, Report, Role, Row, Table};
 use serde::Serialize;
 
@@ -91,7 +91,7 @@ impl<const D: usize> Evaluation<D> {
     }
 
     /// Median over circumstances and realisations of the mean field error over some steps.
-    fn median_over(&self, all: &[Circumstance], candidate: usize, steps: usize) -> f64 {
+    fn median_over(&self, all: &[TestCase], candidate: usize, steps: usize) -> f64 {
         let errors = all.iter().flat_map(|one| &one.errors);
         Spread::of(errors.map(|errors| errors[candidate].mean_field(steps))).median
     }

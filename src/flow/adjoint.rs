@@ -2,11 +2,11 @@
 
 use super::{Flow, State, in_pool};
 use crate::error::Result;
-use crate::systems::columns::{Column, Kept};
+use crate::systems::columns::{Column, TangentOptions};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, Identity, Particles, Position,
+    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, ParticleId, Particles, Position,
     PositionAdjoint, Velocity, VelocityAdjoint,
 };
 use crate::systems::tape::Tape;
@@ -22,7 +22,7 @@ pub struct Snapshot<const D: usize> {
     accelerations: Vec<Vector<f64, D>>,
     reference: Vec<Vector<f64, D>>,
     /// Columns of terms, in order.
-    columns: Vec<Kept>,
+    columns: Vec<TangentOptions>,
 }
 
 impl<const D: usize> Snapshot<D> {
@@ -53,8 +53,8 @@ impl<const D: usize> Flow<D> {
     pub fn restore(&mut self, snapshot: &Snapshot<D>) {
         let Some(backward) = &mut self.backward else { return };
         let world = &mut self.world;
-        let mut rows =
-            world.query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
+        let mut rows = world
+            .query::<(&ParticleId, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
         for (id, mut r, mut v, mut a) in rows.iter_mut(world) {
             let row = id.0 as usize;
             if row < snapshot.accelerations.len() {
@@ -130,7 +130,8 @@ impl<const D: usize> Flow<D> {
 
     /// `(∂L/∂r, ∂L/∂v)` at the current step of the backward sweep, particle `k` in row `k`.
     pub fn state_adjoint(&mut self) -> (Vec<Vector<f64, D>>, Vec<Vector<f64, D>>) {
-        let mut rows = self.world.query::<(&Identity, &PositionAdjoint<D>, &VelocityAdjoint<D>)>();
+        let mut rows =
+            self.world.query::<(&ParticleId, &PositionAdjoint<D>, &VelocityAdjoint<D>)>();
         let count = self.world.resource::<Particles>().0;
         let mut both = (vec![Vector::zero(); count], vec![Vector::zero(); count]);
         for (id, r, v) in rows.iter(&self.world) {

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::models::Model;
 use crate::packed::PackedSensitivity;
 use crate::parameters::Parameters;
-use crate::scalar::{Lanes, WIDTH};
+use crate::scalar::{F64x8, WIDTH};
 use crate::scene::Scene;
 use crate::space::PeriodicBox;
 use crate::systems::acceleration::{Laws, PairForces, PairTerm};
@@ -16,8 +16,8 @@ use crate::systems::neighbours::{NeighbourSearch, Neighbours};
 use crate::systems::packing::Packing;
 use crate::systems::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    Density, Identity, Particles, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
-    SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
+    Density, ParticleId, Particles, Position, PositionAdjoint, PositionSensitivity,
+    SensitivityBlock, SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
 };
 use crate::systems::tape::Tape;
 use crate::systems::term::Term;
@@ -26,8 +26,8 @@ use crate::systems::watch::{Failure, Watch};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 
-pub(super) fn no_change<const D: usize>() -> Vector<Lanes, D> {
-    Vector([Lanes::ZERO; D])
+pub(super) fn no_change<const D: usize>() -> Vector<F64x8, D> {
+    Vector([F64x8::ZERO; D])
 }
 
 /// The pair laws of a scene: its model, and the added laws.
@@ -115,7 +115,7 @@ pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D
     let space = world.resource::<Integrator>().space;
     let particle = |(id, (&r, &v)): (usize, _)| {
         let moving = (Position(space.wrap(r)), Velocity(v), Acceleration::<D>::default());
-        (Identity(id as u32), moving, Density::default())
+        (ParticleId(id as u32), moving, Density::default())
     };
     if adjoint {
         let zeros = (
@@ -139,7 +139,7 @@ pub(super) fn spawn_sensitivities<const D: usize>(
     let mut cloud = SensitivityCloud::<D> {
         blocks: Vec::new(),
         coupling: differentiation.coupling,
-        stress_slopes: Vec::new(),
+        p_over_rho2_slopes: Vec::new(),
         pulls: Vec::new(),
         slopes: Vec::new(),
     };
@@ -155,7 +155,7 @@ pub(super) fn spawn_sensitivities<const D: usize>(
     for own in places.chunks(WIDTH) {
         let mut block = SensitivityBlock {
             packed: vec![PackedSensitivity::ZERO; count],
-            density: vec![Lanes::ZERO; count],
+            density: vec![F64x8::ZERO; count],
             acceleration: vec![no_change(); count],
             columns: own.iter().copied().enumerate().collect(),
             directions: Vec::new(),

@@ -80,16 +80,18 @@ impl<const D: usize> Flow<D> {
         let found = match (wrong, unknown) {
             (None, None) => return Ok(()),
             (Some(particle), _) if seen[particle] == 0 => {
-                format!("no entity with Identity({particle}): it was despawned")
+                format!("no entity with ParticleId({particle}): it was despawned")
             }
-            (Some(particle), _) => format!("{} entities with Identity({particle})", seen[particle]),
-            (None, Some(id)) => format!("an entity with Identity({id})"),
+            (Some(particle), _) => {
+                format!("{} entities with ParticleId({particle})", seen[particle])
+            }
+            (None, Some(id)) => format!("an entity with ParticleId({id})"),
         };
         Err(Error::input(
             "the particles of this flow",
-            format!("one entity for each Identity from 0 to {}", expected.0.saturating_sub(1)),
+            format!("one entity for each ParticleId from 0 to {}", expected.0.saturating_sub(1)),
             found,
-            "build a new flow from the particles that are left; entities that are no particles go without an Identity",
+            "build a new flow from the particles that are left; entities that are no particles go without an ParticleId",
         ))
     }
 }

@@ -1,14 +1,14 @@
 //! Memory of a World, per particle: columns of components, and arrays.
 
 use super::Flow;
-use crate::models::Slopes;
+use crate::models::ForceJacobian;
 use crate::near::Near;
 use crate::scalar::Precision;
-use crate::systems::Program;
-use crate::systems::density_tangent::Pulls;
+use crate::systems::ScheduleKind;
+use crate::systems::density_tangent::DensityJacobian;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
-use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, Identity, SensitivityCloud};
+use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, ParticleId, SensitivityCloud};
 use crate::systems::tape::{FrameAdjoint, Tape};
 use crate::systems::verlet::Integrator;
 use bevy_ecs::archetype::{Archetype, ArchetypeEntity};
@@ -19,7 +19,7 @@ use serde::Serialize;
 
 /// One column: a component, or an array.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Held {
+pub struct MemoryReport {
     /// The part to which it belongs.
     pub part: &'static str,
     /// Its name.
@@ -28,7 +28,7 @@ pub struct Held {
     pub bytes: f64,
 }
 
-impl Held {
+impl MemoryReport {
     /// A column of a part.
     pub fn new(part: &'static str, name: impl Into<String>, bytes: f64) -> Self {
         Self { part, name: name.into(), bytes }
@@ -66,7 +66,7 @@ fn room<T>(column: &Vec<T>) -> usize {
 
 impl<const D: usize> Flow<D> {
     /// Every column that the World currently holds for its particles.
-    pub fn held(&self) -> Vec<Held> {
+    pub fn held(&self) -> Vec<MemoryReport> {
         let mut held = self.components();
         let count = self.particles().max(1) as f64;
         let parts: [(&'static str, Arrays); 7] = [
@@ -80,19 +80,21 @@ impl<const D: usize> Flow<D> {
         ];
         for (part, arrays) in parts {
             let arrays = arrays.into_iter().filter(|(_, bytes)| *bytes > 0);
-            held.extend(arrays.map(|(name, bytes)| Held::new(part, name, bytes as f64 / count)));
+            held.extend(
+                arrays.map(|(name, bytes)| MemoryReport::new(part, name, bytes as f64 / count)),
+            );
         }
         held
     }
 
     /// Bytes per particle of everything that the World holds, by part.
     pub fn bytes_per_particle(&self) -> Vec<(&'static str, f64)> {
-        Held::parts(&self.held())
+        MemoryReport::parts(&self.held())
     }
 
     /// Memory that one step adds to the tape of an adjoint, at most: evaluations share their lists
     /// until the lists are rebuilt. Empty without a tape.
-    pub fn tape_of_a_step(&self) -> Vec<Held> {
+    pub fn tape_of_a_step(&self) -> Vec<MemoryReport> {
         if !self.world.contains_resource::<Tape<D>>() {
             return Vec::new();
         }
@@ -104,7 +106,7 @@ impl<const D: usize> Flow<D> {
         let lists: usize = chunks.iter().map(Chunk::bytes).sum();
         let near: usize = chunks.iter().map(Chunk::batches).sum();
         let lines = size_of_val(cloud.packed.as_slice()) + size_of_val(&cloud.slot_of_row[..]);
-        let tape = |name: &str, bytes: f64| Held::new("tape, a step", name, bytes);
+        let tape = |name: &str, bytes: f64| MemoryReport::new("tape, a step", name, bytes);
         let mut all = vec![
             tape("cloud of each evaluation", evaluations * lines as f64 / count),
             tape("lists of each evaluation", evaluations * lists as f64 / count),
@@ -121,18 +123,18 @@ impl<const D: usize> Flow<D> {
     }
 
     /// The schedules of the flow, and the systems of each, in order.
-    pub fn programs(&mut self) -> Vec<(Program, Vec<String>)> {
+    pub fn programs(&mut self) -> Vec<(ScheduleKind, Vec<String>)> {
         if self.check_order().is_err() {
             return Vec::new();
         }
         let mut programs = vec![
-            (Program::Start, systems_of(&self.start)),
-            (Program::Advance, systems_of(&self.advance)),
+            (ScheduleKind::Start, systems_of(&self.start)),
+            (ScheduleKind::Advance, systems_of(&self.advance)),
         ];
         if let Some(backward) = &self.backward {
-            programs.push((Program::Prepare, systems_of(&backward.prepare)));
-            programs.push((Program::Retreat, systems_of(&backward.retreat)));
-            programs.push((Program::Return, systems_of(&backward.back_to_start)));
+            programs.push((ScheduleKind::Prepare, systems_of(&backward.prepare)));
+            programs.push((ScheduleKind::StepAdjoint, systems_of(&backward.retreat)));
+            programs.push((ScheduleKind::StartAdjoint, systems_of(&backward.back_to_start)));
         }
         programs
     }
@@ -140,19 +142,19 @@ impl<const D: usize> Flow<D> {
     /// Names of the systems of one step, in order.
     pub fn systems(&mut self) -> Vec<String> {
         let programs = self.programs().into_iter();
-        let advance = programs.filter(|(program, _)| *program == Program::Advance);
+        let advance = programs.filter(|(program, _)| *program == ScheduleKind::Advance);
         advance.flat_map(|(_, systems)| systems).collect()
     }
 
     /// Number of particles.
     fn particles(&self) -> usize {
-        let Some(identity) = self.world.component_id::<Identity>() else { return 0 };
+        let Some(identity) = self.world.component_id::<ParticleId>() else { return 0 };
         let all = self.world.archetypes().iter().filter(|kind| kind.contains(identity));
         all.map(|kind| kind.len() as usize).sum()
     }
 
     /// Components of all entities that are not resources, with the ECS's own records.
-    fn components(&self) -> Vec<Held> {
+    fn components(&self) -> Vec<MemoryReport> {
         let count = self.particles().max(1) as f64;
         let resource = self.world.component_id::<IsResource>();
         let is_resource = |kind: &&Archetype| resource.is_some_and(|id| kind.contains(id));
@@ -170,10 +172,14 @@ impl<const D: usize> Flow<D> {
                     (_, true) => "adjoint",
                     _ => "components",
                 };
-                held.push(Held::new(part, name, each * (info.layout().size() + TICKS) as f64));
+                held.push(MemoryReport::new(
+                    part,
+                    name,
+                    each * (info.layout().size() + TICKS) as f64,
+                ));
             }
             let part = if of_blocks { "sensitivities" } else { "components" };
-            kept.push(Held::new(part, "entity", each * ENTITY as f64));
+            kept.push(MemoryReport::new(part, "entity", each * ENTITY as f64));
         }
         held.append(&mut kept);
         held
@@ -219,7 +225,7 @@ impl<const D: usize> Flow<D> {
             ("packed", blocks.clone().map(|block| room(&block.packed)).sum()),
             ("density", blocks.clone().map(|block| room(&block.density)).sum()),
             ("acceleration", blocks.map(|block| room(&block.acceleration)).sum()),
-            ("stress_slopes", room(&cloud.stress_slopes)),
+            ("stress_slopes", room(&cloud.p_over_rho2_slopes)),
         ]
     }
 
@@ -229,8 +235,8 @@ impl<const D: usize> Flow<D> {
             return Vec::new();
         };
         vec![
-            ("pulls", cloud.pulls.iter().map(Pulls::bytes).sum()),
-            ("slopes", cloud.slopes.iter().map(Slopes::bytes).sum()),
+            ("pulls", cloud.pulls.iter().map(DensityJacobian::bytes).sum()),
+            ("slopes", cloud.slopes.iter().map(ForceJacobian::bytes).sum()),
         ]
     }
 

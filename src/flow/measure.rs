@@ -1,11 +1,11 @@
 //! Queries of a flow: its time, its particles, its conserved quantities.
 
 use super::{Flow, State};
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{F64x8, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, Cloud, Density, Identity, Particles, Position, Velocity,
+    Acceleration, Cloud, Density, ParticleId, Particles, Position, Velocity,
 };
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::loneliness;
@@ -56,7 +56,7 @@ impl<const D: usize> Flow<D> {
     /// them in that order, and sorted where systems or components of a user have changed it.
     pub(crate) fn rows(&self) -> Rows<'_, D> {
         type Row<'a, const D: usize> =
-            (&'a Identity, &'a Position<D>, &'a Velocity<D>, &'a Density);
+            (&'a ParticleId, &'a Position<D>, &'a Velocity<D>, &'a Density);
         let Some(mut query) = self.world.try_query::<Row<'_, D>>() else {
             return Rows::default();
         };
@@ -78,7 +78,7 @@ impl<const D: usize> Flow<D> {
     /// Accelerations of the last force evaluation, particle `k` in row `k`.
     pub fn accelerations(&mut self) -> Vec<Vector<f64, D>> {
         let count = self.world.resource::<Particles>().0;
-        let mut rows = self.world.query::<(&Identity, &Acceleration<D>)>();
+        let mut rows = self.world.query::<(&ParticleId, &Acceleration<D>)>();
         let mut all = vec![Vector::zero(); count];
         for (id, a) in rows.iter(&self.world) {
             if let Some(row) = all.get_mut(id.0 as usize) {
@@ -101,8 +101,8 @@ impl<const D: usize> Flow<D> {
     /// The model's pressure `P = A ρ²` at a density; zero for a model without one.
     pub fn pressure(&self, rho: f64) -> f64 {
         let model = self.model();
-        let mut room = model.room();
-        model.stress(Lanes::of(rho), &mut room).lane(0) * rho * rho
+        let mut scratch = model.scratch();
+        model.p_over_rho2(F64x8::of(rho), &mut scratch).lane(0) * rho * rho
     }
 
     /// `Σ m a` of each term at the last force evaluation.

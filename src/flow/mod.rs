@@ -10,7 +10,7 @@ mod measure;
 mod state;
 
 pub use adjoint::Snapshot;
-pub use held::Held;
+pub use held::MemoryReport;
 pub(crate) use measure::Rows;
 pub use state::{State, Stream, stream};
 
@@ -25,7 +25,7 @@ use crate::systems::Needs;
 use crate::systems::loss::{LossSum, Losses, Observations, losses};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationSensitivity, Identity, Position, PositionSensitivity, Velocity,
+    Acceleration, AccelerationSensitivity, ParticleId, Position, PositionSensitivity, Velocity,
     VelocitySensitivity,
 };
 use crate::systems::programs::{Backward, Programs};
@@ -63,7 +63,7 @@ pub struct Flow<const D: usize> {
     term_places: Vec<Vec<usize>>,
     /// Names of the systems of a step that come from terms.
     own_systems: Vec<String>,
-    identities: QueryState<&'static Identity>,
+    identities: QueryState<&'static ParticleId>,
 }
 
 /// Everything from which a flow is built.
@@ -330,7 +330,7 @@ impl<const D: usize> Flow<D> {
         let space = self.world.resource::<Integrator>().space;
         let mut rows =
             self.world
-                .query::<(&Identity, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
+                .query::<(&ParticleId, &mut Position<D>, &mut Velocity<D>, &mut Acceleration<D>)>();
         for (id, mut r, mut v, mut a) in rows.iter_mut(&mut self.world) {
             let row = id.0 as usize;
             if let (Some(&start), Some(&speed)) =

@@ -6,7 +6,7 @@
 pub mod ornstein_uhlenbeck;
 
 use crate::packed::{Packed, PackedSensitivity};
-use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
+use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, dispatch};
 use crate::vector::Vector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -76,15 +76,15 @@ impl EnergyInjection {
     pub fn tangent<const D: usize>(
         &self,
         count: usize,
-        (sum, work): (Vector<Lanes, D>, Lanes),
-        theta: Lanes,
+        (sum, work): (Vector<F64x8, D>, F64x8),
+        theta: F64x8,
     ) -> InjectionTangent<D> {
         let each = 1.0 / count as f64;
         let change = if self.energy > 0.0 {
             let energy = work * (2.0 * self.share * each);
             (theta - energy * (self.theta / self.energy)) / self.energy
         } else {
-            Lanes::ZERO
+            F64x8::ZERO
         };
         InjectionTangent { mean: sum.map(|x| x * each), rate: change }
     }
@@ -121,7 +121,7 @@ impl EnergyInjection {
         &self,
         particles: &[Packed],
         changes: &[PackedSensitivity<D>],
-    ) -> (Vector<Lanes, D>, Lanes) {
+    ) -> (Vector<F64x8, D>, F64x8) {
         dispatch(Sums { law: self, particles, changes })
     }
 }
@@ -133,11 +133,11 @@ struct Sums<'a, const D: usize> {
     changes: &'a [PackedSensitivity<D>],
 }
 
-impl<const D: usize> Pass for Sums<'_, D> {
-    type Output = (Vector<Lanes, D>, Lanes);
+impl<const D: usize> SimdTask for Sums<'_, D> {
+    type Output = (Vector<F64x8, D>, F64x8);
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> Self::Output {
+    fn run<W: SimdFloat>(self) -> Self::Output {
         let Self { law, particles, changes } = self;
         let (mut sum, mut work) = (Vector::<W::Double, D>::zero(), W::Double::of(0.0));
         for (particle, change) in particles.iter().zip(changes) {
@@ -147,7 +147,7 @@ impl<const D: usize> Pass for Sums<'_, D> {
                 work += change * (particle.velocity[axis] - law.origin[axis]);
             }
         }
-        let mut stored = Vector([Lanes::ZERO; D]);
+        let mut stored = Vector([F64x8::ZERO; D]);
         for axis in 0..D {
             stored[axis] = sum[axis].store();
         }
@@ -157,12 +157,12 @@ impl<const D: usize> Pass for Sums<'_, D> {
 
 /// Number of particles, maximum, that are summed sequentially. It determines the bits of a sum, so
 /// that it must not depend on the machine.
-const IN_ORDER: usize = 4096;
+const SEQUENTIAL_SUM_LEN: usize = 4096;
 
 /// Sums three numbers over particles, by recursive halving. The order depends only on the number of
 /// particles, so that any number of threads gives the same bits.
 fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
-    let [mut a, b] = if particles.len() <= IN_ORDER {
+    let [mut a, b] = if particles.len() <= SEQUENTIAL_SUM_LEN {
         let mut sum = [0.0; 3];
         for particle in particles {
             let part = of(particle);
@@ -181,9 +181,9 @@ fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> 
 #[derive(Clone, Copy, Debug)]
 pub struct InjectionTangent<const D: usize> {
     /// `δv̄`.
-    pub mean: Vector<Lanes, D>,
+    pub mean: Vector<F64x8, D>,
     /// `δ(θ/E)`.
-    pub rate: Lanes,
+    pub rate: F64x8,
 }
 
 impl<const D: usize> InjectionTangent<D> {
@@ -192,7 +192,7 @@ impl<const D: usize> InjectionTangent<D> {
         &self,
         law: &EnergyInjection,
         (particles, changes): (&[Packed], &[PackedSensitivity<D>]),
-        out: &mut [Vector<Lanes, D>],
+        out: &mut [Vector<F64x8, D>],
     ) {
         dispatch(AddForce { tangent: self, law, particles, changes, out });
     }
@@ -204,14 +204,14 @@ struct AddForce<'a, const D: usize> {
     law: &'a EnergyInjection,
     particles: &'a [Packed],
     changes: &'a [PackedSensitivity<D>],
-    out: &'a mut [Vector<Lanes, D>],
+    out: &'a mut [Vector<F64x8, D>],
 }
 
-impl<const D: usize> Pass for AddForce<'_, D> {
+impl<const D: usize> SimdTask for AddForce<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { tangent, law, particles, changes, out } = self;
         let by_rate = W::Double::load(&tangent.rate);
         for ((particle, change), out) in particles.iter().zip(changes).zip(out) {

@@ -75,18 +75,18 @@ impl Kernel for AnyKernel {
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(&self, q: T) -> T {
-        whichever!(self, T, gradient(q))
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T {
+        whichever!(self, T, dw_over_r(q))
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(&self, q: T) -> T {
-        whichever!(self, T, curvature(q))
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T {
+        whichever!(self, T, d_dw_over_r(q))
     }
 
     #[inline(always)]
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
-        whichever!(self, T, slopes(q))
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2] {
+        whichever!(self, T, dw_derivatives(q))
     }
 
     fn parameters(&self) -> usize {
@@ -99,7 +99,7 @@ impl Kernel for AnyKernel {
     }
 
     #[inline(always)]
-    fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
-        whichever!(self, T, gradient_by(parameter, q))
+    fn dw_over_r_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
+        whichever!(self, T, dw_over_r_by(parameter, q))
     }
 }

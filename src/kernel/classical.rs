@@ -27,14 +27,14 @@ impl Kernel for CubicSpline {
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(&self, q: T) -> T {
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let beyond = outer * outer * -0.75 / q.max(T::of(1.0));
         T::select_less(q, T::of(1.0), q * 2.25 - 3.0, beyond)
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(&self, q: T) -> T {
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let inside = |yes: T, no: T| T::select_less(q, T::of(1.0), yes, no);
         let under = inside(q.max(T::smallest(SMALLEST_Q)), q * q * q);
@@ -42,14 +42,14 @@ impl Kernel for CubicSpline {
     }
 
     #[inline(always)]
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2] {
         let outer = (T::of(2.0) - q).max(T::of(0.0));
         let inside = |yes: T, no: T| T::select_less(q, T::of(1.0), yes, no);
         // One division for both.
         let inverse = T::of(1.0) / q.max(T::smallest(SMALLEST_Q));
-        let gradient = inside(q * 2.25 - 3.0, outer * outer * inverse * -0.75);
+        let dw_over_r = inside(q * 2.25 - 3.0, outer * outer * inverse * -0.75);
         let beyond = outer * (q + 2.0) * 0.75 * (inverse * inverse);
-        [gradient, inside(T::of(2.25), beyond) * inverse]
+        [dw_over_r, inside(T::of(2.25), beyond) * inverse]
     }
 }
 
@@ -70,20 +70,20 @@ impl Kernel for WendlandC2 {
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(&self, q: T) -> T {
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         u * u * u * -5.0
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(&self, q: T) -> T {
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         u * u * 7.5 / q.max(T::smallest(SMALLEST_Q))
     }
 
     #[inline(always)]
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
-        [self.gradient(q), self.curvature(q)]
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2] {
+        [self.dw_over_r(q), self.d_dw_over_r(q)]
     }
 }
 
@@ -104,21 +104,21 @@ impl Kernel for WendlandC4 {
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(&self, q: T) -> T {
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * u * (q * 2.5 + 1.0) * (-14.0 / 3.0)
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(&self, q: T) -> T {
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T {
         let u = (q * -0.5 + 1.0).max(T::of(0.0));
         let u2 = u * u;
         u2 * u2 * 35.0
     }
 
     #[inline(always)]
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
-        [self.gradient(q), self.curvature(q)]
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2] {
+        [self.dw_over_r(q), self.d_dw_over_r(q)]
     }
 }

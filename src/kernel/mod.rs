@@ -68,11 +68,11 @@ pub trait Kernel: Clone + Send + Sync + 'static {
     /// `w(q)`.
     fn value<T: Scalar>(&self, q: T) -> T;
     /// `g(q) = w'(q)/q`.
-    fn gradient<T: Scalar>(&self, q: T) -> T;
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T;
     /// `k(q) = g'(q)/q`, with a lower bound on `q` where it is singular.
-    fn curvature<T: Scalar>(&self, q: T) -> T;
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T;
     /// `g(q)` and `k(q)` together, at less cost than separately.
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2];
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2];
 
     /// Whether it is a table.
     fn is_table(&self) -> bool {
@@ -93,7 +93,7 @@ pub trait Kernel: Clone + Send + Sync + 'static {
     }
     /// `∂(σ g)/∂p / σ`, in the same way.
     #[inline(always)]
-    fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
+    fn dw_over_r_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
         let _ = (parameter, q);
         T::of(0.0)
     }
@@ -161,23 +161,26 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
 
     /// `G(r) = W'(r)/r`.
     #[inline(always)]
-    pub fn gradient<T: Scalar>(&self, r: T) -> T {
-        self.shape.gradient(r * self.inverse_h) * (self.scale * self.inverse_h * self.inverse_h)
+    pub fn dw_over_r<T: Scalar>(&self, r: T) -> T {
+        self.shape.dw_over_r(r * self.inverse_h) * (self.scale * self.inverse_h * self.inverse_h)
     }
 
     /// `H(r) = G'(r)/r`.
     #[inline(always)]
-    pub fn curvature<T: Scalar>(&self, r: T) -> T {
+    pub fn d_dw_over_r<T: Scalar>(&self, r: T) -> T {
         let inverse_h2 = self.inverse_h * self.inverse_h;
-        self.shape.curvature(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
+        self.shape.d_dw_over_r(r * self.inverse_h) * (self.scale * inverse_h2 * inverse_h2)
     }
 
     /// `[G(r), H(r)]`.
     #[inline(always)]
-    pub fn slopes<T: Scalar>(&self, r: T) -> [T; 2] {
+    pub fn dw_derivatives<T: Scalar>(&self, r: T) -> [T; 2] {
         let inverse_h2 = self.inverse_h * self.inverse_h;
-        let [gradient, curvature] = self.shape.slopes(r * self.inverse_h);
-        [gradient * (self.scale * inverse_h2), curvature * (self.scale * inverse_h2 * inverse_h2)]
+        let [dw_over_r, d_dw_over_r] = self.shape.dw_derivatives(r * self.inverse_h);
+        [
+            dw_over_r * (self.scale * inverse_h2),
+            d_dw_over_r * (self.scale * inverse_h2 * inverse_h2),
+        ]
     }
 
     /// `∂W/∂p` at fixed `r`, by the shape's parameter with index `parameter`; zero where there is
@@ -189,8 +192,8 @@ impl<K: Kernel, const D: usize> Smoothing<K, D> {
 
     /// `∂G/∂p` at fixed `r`, in the same way.
     #[inline(always)]
-    pub fn gradient_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
+    pub fn dw_over_r_by<T: Scalar>(&self, parameter: usize, r: T) -> T {
         let scale = self.scale * self.inverse_h * self.inverse_h;
-        self.shape.gradient_by(parameter, r * self.inverse_h) * scale
+        self.shape.dw_over_r_by(parameter, r * self.inverse_h) * scale
     }
 }

@@ -100,19 +100,19 @@ impl Kernel for KernelTable {
     }
 
     #[inline(always)]
-    fn gradient<T: Scalar>(&self, q: T) -> T {
+    fn dw_over_r<T: Scalar>(&self, q: T) -> T {
         let [slope] = argument(q).tabulated(&self.value, 1);
         slope * 0.5
     }
 
     #[inline(always)]
-    fn curvature<T: Scalar>(&self, q: T) -> T {
+    fn d_dw_over_r<T: Scalar>(&self, q: T) -> T {
         let [bend] = argument(q).tabulated(&self.value, 2);
         bend * 0.25
     }
 
     #[inline(always)]
-    fn slopes<T: Scalar>(&self, q: T) -> [T; 2] {
+    fn dw_derivatives<T: Scalar>(&self, q: T) -> [T; 2] {
         let [slope, bend] = argument(q).tabulated(&self.value, 1);
         [slope * 0.5, bend * 0.25]
     }
@@ -130,7 +130,7 @@ impl Kernel for KernelTable {
     }
 
     #[inline(always)]
-    fn gradient_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
+    fn dw_over_r_by<T: Scalar>(&self, parameter: usize, q: T) -> T {
         let Some(by) = self.by.get(parameter) else { return T::of(0.0) };
         let [slope] = argument(q).tabulated(by, 1);
         slope * 0.5

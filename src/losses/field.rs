@@ -3,12 +3,12 @@
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::StateAdjoint;
-use super::lattice::{Lattice, Meet, load_at, store_at};
+use super::lattice::{Meet, PaddedGrid, load_at, store_at};
 use super::mesh::Mesh;
 use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
-use crate::scalar::{Pass, Wide, dispatch_doubles_by_kernel};
+use crate::scalar::{SimdFloat, SimdTask, dispatch_doubles_by_kernel};
 use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -41,7 +41,7 @@ pub struct Points<'a, K, const D: usize> {
 
 /// Sums every component over its lanes.
 #[inline(always)]
-pub(super) fn sum_lanes<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<f64, D> {
+pub(super) fn sum_lanes<W: SimdFloat, const D: usize>(vector: &Vector<W, D>) -> Vector<f64, D> {
     let mut sum = Vector::zero();
     for axis in 0..D {
         sum[axis] = vector[axis].sum();
@@ -57,7 +57,7 @@ struct Bins {
 }
 
 impl Bins {
-    fn new<const D: usize>(lattice: &Lattice<D>, packed: &[Packed]) -> Self {
+    fn new<const D: usize>(lattice: &PaddedGrid<D>, packed: &[Packed]) -> Self {
         let plane = |p: &Packed| lattice.first(p.position[D - 1]) as u32;
         let mut planes: Vec<u32> = packed.par_iter().with_min_len(CHUNK).map(plane).collect();
         let (mut start, mut slots) = (Vec::new(), Vec::new());
@@ -75,7 +75,7 @@ impl Bins {
 /// One particle-to-grid task: the particles that reach one of `planes` first.
 struct Givers<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    lattice: Lattice<D>,
+    lattice: PaddedGrid<D>,
     bins: &'a Bins,
     /// Their first planes.
     planes: Range<usize>,
@@ -104,8 +104,8 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
 }
 
 /// Adds the padded rows of a plane to its nodes.
-fn fold<const D: usize>(rows: [&[f64]; D], lattice: &Lattice<D>, nodes: &mut [Vector<f64, D>]) {
-    let Lattice { per_axis, width, .. } = *lattice;
+fn fold<const D: usize>(rows: [&[f64]; D], lattice: &PaddedGrid<D>, nodes: &mut [Vector<f64, D>]) {
+    let PaddedGrid { per_axis, width, .. } = *lattice;
     for (number, nodes) in nodes.chunks_exact_mut(per_axis).enumerate() {
         for axis in 0..D {
             let mut row = &rows[axis][number * width..][..width];
@@ -121,7 +121,7 @@ fn fold<const D: usize>(rows: [&[f64]; D], lattice: &Lattice<D>, nodes: &mut [Ve
 /// Particle-to-grid: `V += (m/ρⱼ) vⱼ W` at the nodes in reach.
 struct GivePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    lattice: &'a Lattice<D>,
+    lattice: &'a PaddedGrid<D>,
     /// Slots of the particles.
     slots: &'a [u32],
     /// Index of the first plane.
@@ -129,11 +129,11 @@ struct GivePass<'a, K, const D: usize> {
     columns: &'a mut [Vec<f64>; D],
 }
 
-impl<K: Kernel, const D: usize> Pass for GivePass<'_, K, D> {
+impl<K: Kernel, const D: usize> SimdTask for GivePass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { points, lattice, slots, plane, columns } = self;
         for &slot in slots {
             let particle = &points.packed[slot as usize];
@@ -156,7 +156,7 @@ struct Giver<'a, W, K, const D: usize> {
     columns: &'a mut [Vec<f64>; D],
 }
 
-impl<W: Wide, K: Kernel, const D: usize> Meet<W, D> for Giver<'_, W, K, D> {
+impl<W: SimdFloat, K: Kernel, const D: usize> Meet<W, D> for Giver<'_, W, K, D> {
     #[inline(always)]
     fn meet(&mut self, places: [usize; 2], _: &Vector<W, D>, square: W) {
         let weight = self.smoothing.value(square.sqrt());
@@ -177,7 +177,7 @@ pub fn field<K: Kernel, const D: usize>(
     if mesh.is_empty() {
         return nodes;
     }
-    let lattice = Lattice::new(mesh, points.smoothing.support());
+    let lattice = PaddedGrid::new(mesh, points.smoothing.support());
     let bins = &Bins::new(&lattice, points.packed);
     let (n, plane) = (mesh.per_axis, mesh.len() / mesh.per_axis);
     let planes = FEWEST_PLANES.max(FEWEST_NODES.div_ceil(plane)).min(n);
@@ -234,7 +234,7 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
     if mesh.is_empty() {
         return adjoint;
     }
-    let lattice = Lattice::new(mesh, points.smoothing.support());
+    let lattice = PaddedGrid::new(mesh, points.smoothing.support());
     let nodes = &unfold(&nodes, &lattice);
     let columns =
         adjoint.position.par_chunks_mut(CHUNK).zip(adjoint.velocity.par_chunks_mut(CHUNK));
@@ -251,7 +251,7 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
 
 /// The values at all nodes, axis by axis, as padded rows and planes: each row, and the sequence of
 /// planes, is continued periodically past its end.
-fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Vec<f64>; D] {
+fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &PaddedGrid<D>) -> [Vec<f64>; D] {
     let numbers = lattice.planes(lattice.per_axis) * lattice.numbers_per_plane();
     let again = lattice.width - lattice.per_axis;
     let mut columns = [(); D].map(|()| Vec::with_capacity(numbers));
@@ -269,18 +269,18 @@ fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &Lattice<D>) -> [Ve
 /// node, `∂L/∂vⱼ = (m/ρⱼ) Σ λ W`, `∂L/∂rⱼ = −(m/ρⱼ) Σ s G (x − rⱼ)`, `∂L/∂ρⱼ = −(m/ρⱼ²) Σ s W`.
 struct TakePass<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    lattice: &'a Lattice<D>,
+    lattice: &'a PaddedGrid<D>,
     nodes: &'a [Vec<f64>; D],
     /// The particles.
     particles: &'a [Packed],
     into: (&'a mut [Vector<f64, D>], &'a mut [Vector<f64, D>], &'a mut [f64]),
 }
 
-impl<K: Kernel, const D: usize> Pass for TakePass<'_, K, D> {
+impl<K: Kernel, const D: usize> SimdTask for TakePass<'_, K, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { points, lattice, nodes, particles, into } = self;
         for (k, particle) in particles.iter().enumerate() {
             let zero = Vector::zero();
@@ -315,7 +315,7 @@ struct TakenSums<W, const D: usize> {
     density: W,
 }
 
-impl<W: Wide, K: Kernel, const D: usize> Meet<W, D> for Taker<'_, W, K, D> {
+impl<W: SimdFloat, K: Kernel, const D: usize> Meet<W, D> for Taker<'_, W, K, D> {
     #[inline(always)]
     fn meet(&mut self, places: [usize; 2], apart: &Vector<W, D>, square: W) {
         let r = square.sqrt();
@@ -325,7 +325,7 @@ impl<W: Wide, K: Kernel, const D: usize> Meet<W, D> for Taker<'_, W, K, D> {
             cotangent[axis] = load_at(&self.nodes[axis], places);
         }
         let along = cotangent.dot(self.own);
-        self.sums.position -= *apart * (self.smoothing.gradient(r) * along);
+        self.sums.position -= *apart * (self.smoothing.dw_over_r(r) * along);
         self.sums.velocity += cotangent * weight;
         self.sums.density -= weight * along;
     }
@@ -347,7 +347,7 @@ mod tests {
             position: Vector::<f64, D>(std::array::from_fn(&mut number)).to_3d(),
             velocity: Vector::<f64, D>(std::array::from_fn(&mut number)).to_3d(),
             density: 0.5 + number(0),
-            stress: 0.0,
+            p_over_rho2: 0.0,
         };
         let mut packed: Vec<Packed> = (0..particles).map(line).collect();
         packed[0].position = [0.0; 3];

@@ -6,15 +6,17 @@ use super::field::{CHUNK, Points, field_value, sum_lanes};
 use super::mesh::Mesh;
 use crate::kernel::Kernel;
 use crate::packed::{Packed, PackedSensitivity, PackedSingle};
-use crate::pairs::{Draft, Eight, pick};
-use crate::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch_doubles_by_kernel, transposed};
+use crate::pairs::{Eight, ListBuilder, pick};
+use crate::scalar::{
+    F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_doubles_by_kernel, transposed,
+};
 use crate::vector::Vector;
 use rayon::prelude::*;
 
 /// Particles with their coordinates as columns, for the neighbour search.
 struct Search<'a, K, const D: usize> {
     points: &'a Points<'a, K, D>,
-    /// Particles with their volumes `m/ρ` in the field `stress`, and at the end the sentinel with
+    /// Particles with their volumes `m/ρ` in the field `p_over_rho2`, and at the end the sentinel with
     /// zero volume.
     lines: Vec<Packed>,
     /// Fixed-point coordinates in cell order, padded by two [`WIDTH`].
@@ -43,8 +45,9 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
             let place = |p: &Packed| PackedSingle::fixed_point(p.position[axis], points.space);
             points.packed.iter().map(place).chain([0; 2 * WIDTH]).collect()
         };
-        let lines = points.packed.iter().map(|p| Packed { stress: points.mass / p.density, ..*p });
-        let lines = lines.chain([Packed::NOBODY]).collect();
+        let lines =
+            points.packed.iter().map(|p| Packed { p_over_rho2: points.mass / p.density, ..*p });
+        let lines = lines.chain([Packed::SENTINEL]).collect();
         let limits = PackedSingle::limits(points.smoothing.support(), points.space);
         Self { points, lines, columns: std::array::from_fn(column), limits }
     }
@@ -52,7 +55,11 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     /// The slots of all particles in reach of the place `x`, padded with the sentinel to whole
     /// eights.
     #[inline(always)]
-    fn find<'b, W: Wide>(&self, x: Vector<f64, D>, near: &'b mut Draft) -> &'b [[u32; WIDTH]] {
+    fn find<'b, W: SimdFloat>(
+        &self,
+        x: Vector<f64, D>,
+        near: &'b mut ListBuilder,
+    ) -> &'b [[u32; WIDTH]] {
         let Points { cells, space, .. } = self.points;
         let mut here = [0; D];
         for axis in 0..D {
@@ -76,7 +83,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
 
     /// Eight particles near the place `x`.
     #[inline(always)]
-    fn see<W: Wide>(&self, here: Vector<f64, D>, slots: &[u32; WIDTH]) -> Seen<W::Double, D> {
+    fn see<W: SimdFloat>(&self, here: Vector<f64, D>, slots: &[u32; WIDTH]) -> Seen<W::Double, D> {
         let [x, y, z, u, v, w, density, volume] = W::fields(pick(&self.lines, Eight::from(slots)));
         let (mut apart, mut velocity) = (Vector::zero(), Vector::zero());
         for (axis, (place, speed)) in [(x, u), (y, v), (z, w)].into_iter().enumerate().take(D) {
@@ -90,16 +97,16 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
             velocity,
             inverse_density: W::Double::of(1.0) / density,
             weight: volume * smoothing.value(r),
-            pull: volume * smoothing.gradient(r),
+            pull: volume * smoothing.dw_over_r(r),
         }
     }
 
     /// `V(x)`. Adds the coefficients of its derivative to `givers`.
     #[inline(always)]
-    fn velocity<W: Wide>(
+    fn velocity<W: SimdFloat>(
         &self,
         x: Vector<f64, D>,
-        near: &mut Draft,
+        near: &mut ListBuilder,
         givers: &mut Givers,
     ) -> Vector<f64, D> {
         let mut sum = Vector::<W::Double, D>::zero();
@@ -122,7 +129,7 @@ struct Givers {
     start: Vec<usize>,
     slots: Vec<u32>,
     /// `(m/ρⱼ) G (x − rⱼ)`, `vⱼ`, `(m/ρⱼ) W/ρⱼ` and `(m/ρⱼ) W`, lane after lane.
-    rows: Vec<Lanes>,
+    rows: Vec<F64x8>,
     /// Number of elements in use.
     filled: usize,
 }
@@ -137,13 +144,13 @@ impl Givers {
 
     /// Appends those of eight particles that have a nonzero weight; the sentinel has none.
     #[inline(always)]
-    fn push<W: Wide<Double = W>, const D: usize>(
+    fn push<W: SimdFloat<Double = W>, const D: usize>(
         &mut self,
         seen: &Seen<W, D>,
         slots: &[u32; WIDTH],
-        nobody: usize,
+        sentinel: usize,
     ) {
-        let mut columns = [Lanes::ZERO; WIDTH];
+        let mut columns = [F64x8::ZERO; WIDTH];
         for axis in 0..D {
             columns[axis] = (seen.apart[axis] * seen.pull).store();
             columns[D + axis] = seen.velocity[axis].store();
@@ -155,7 +162,7 @@ impl Givers {
         let end = self.filled + WIDTH;
         if self.slots.len() < end {
             self.slots.resize(2 * end, 0);
-            self.rows.resize(2 * end, Lanes::ZERO);
+            self.rows.resize(2 * end, F64x8::ZERO);
         }
         let (Some(others), Some(found)) = (
             self.slots[self.filled..].first_chunk_mut::<WIDTH>(),
@@ -169,7 +176,7 @@ impl Givers {
             // Never more than the current lane, so that no unread element is lost.
             let place = count % WIDTH;
             (others[place], found[place]) = (slot, rows[lane].store());
-            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != nobody);
+            count += usize::from(sizes.lane(lane) != 0.0 && slot as usize != sentinel);
         }
         self.filled += count;
     }
@@ -178,10 +185,10 @@ impl Givers {
     /// components are `blocks` elements apart in `columns`. Prefetches the sensitivities of the
     /// `next` block.
     #[inline(always)]
-    fn differentiate<W: Wide, const D: usize>(
+    fn differentiate<W: SimdFloat, const D: usize>(
         &self,
         [block, next]: [&[PackedSensitivity<D>]; 2],
-        columns: &mut [Lanes],
+        columns: &mut [F64x8],
         blocks: usize,
     ) {
         for (node, range) in self.start.windows(2).enumerate() {
@@ -218,7 +225,7 @@ pub struct DirectParameter<'a, const D: usize> {
     /// `∂V/∂p` by node.
     pub field: &'a [Vector<f64, D>],
     /// `∂p/∂(the eight learned parameters)` of each block.
-    pub directions: &'a [Lanes],
+    pub directions: &'a [F64x8],
 }
 
 /// The loss at consecutive nodes, with its derivatives by the parameters.
@@ -232,17 +239,17 @@ struct LossPass<'a, K, const D: usize> {
     weight: f64,
 }
 
-impl<K: Kernel, const D: usize> Pass for LossPass<'_, K, D> {
+impl<K: Kernel, const D: usize> SimdTask for LossPass<'_, K, D> {
     type Output = SquareSum;
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> SquareSum {
+    fn run<W: SimdFloat>(self) -> SquareSum {
         let Self { search, mesh, blocks, direct, first, truth, weight } = self;
         let count = blocks.len();
         let mut sum = SquareSum::new(count);
-        let mut columns = vec![Lanes::ZERO; NODES * D * count];
+        let mut columns = vec![F64x8::ZERO; NODES * D * count];
         let (mut near, mut givers, mut residuals) =
-            (Draft::default(), Givers::default(), Vec::new());
+            (ListBuilder::default(), Givers::default(), Vec::new());
         for (group, truth) in truth.chunks(NODES).enumerate() {
             givers.clear();
             residuals.clear();

@@ -4,7 +4,7 @@ mod bells;
 
 use crate::error::{Error, Result};
 use crate::vector::Vector;
-use bells::Nodes;
+use bells::KdeGrid;
 use std::f64::consts::TAU;
 
 /// Weight `ε` of the floor in every density, see [`Density1d`].
@@ -36,7 +36,7 @@ pub const FEWEST_NODES: usize = 16;
 /// sample between two nodes.
 #[derive(Clone, Debug)]
 pub struct Density1d {
-    nodes: Nodes,
+    nodes: KdeGrid,
     /// Added to every variance to give the floor's variance.
     widening: f64,
     /// `ln G` at the nodes.
@@ -91,7 +91,7 @@ fn silverman(deviation: f64, count: usize) -> f64 {
 }
 
 impl<'a> Samples<'a> {
-    fn new(x: &'a [f64], nodes: &Nodes, widening: f64) -> Result<Self> {
+    fn new(x: &'a [f64], nodes: &KdeGrid, widening: f64) -> Result<Self> {
         let (mean, variance) = moments(x)?;
         let wanted = silverman(variance.sqrt(), x.len());
         let narrowest = 0.5 * nodes.spacing;
@@ -117,7 +117,7 @@ impl<'a> Samples<'a> {
     }
 }
 
-impl Nodes {
+impl KdeGrid {
     /// `ln G` and the logarithm of its floor at every node. In log space neither underflows.
     fn log_densities(&self, samples: &Samples<'_>) -> Vec<(f64, f64)> {
         let peak = samples.peak().ln();
@@ -146,7 +146,7 @@ impl Density1d {
         let size = truth.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
         let deviation = variance.sqrt().max(SMALLEST_SPREAD * (1.0 + size));
         let widening = FLOOR_WIDENING * deviation * deviation;
-        let nodes = Nodes::new(truth, silverman(deviation, truth.len()), nodes);
+        let nodes = KdeGrid::new(truth, silverman(deviation, truth.len()), nodes);
         let samples = Samples::new(truth, &nodes, widening)?;
         let log_density: Vec<f64> =
             nodes.log_densities(&samples).into_iter().map(|(log, _)| log).collect();

@@ -5,7 +5,7 @@
 //! two rows, or eight of one. Kernels are evaluated on the fly, and nothing is stored.
 
 use super::Mesh;
-use crate::scalar::{Lanes, WIDTH, Wide};
+use crate::scalar::{F64x8, SimdFloat, WIDTH};
 use crate::vector::Vector;
 
 /// Number of nodes that are contiguous in memory, minimum: half of a register.
@@ -16,8 +16,8 @@ const FAR: f64 = 16.0;
 
 /// Lanes with the value `below` in the first `count` of each `width` lanes, and `from` in the
 /// others.
-const fn lanes_of(count: usize, (below, from): (f64, f64), width: usize) -> Lanes {
-    let (mut lanes, mut lane) = (Lanes::ZERO, 0);
+const fn lanes_of(count: usize, (below, from): (f64, f64), width: usize) -> F64x8 {
+    let (mut lanes, mut lane) = (F64x8::ZERO, 0);
     while lane < WIDTH {
         lanes.set_lane(lane, if lane % width < count { below } else { from });
         lane += 1;
@@ -27,8 +27,8 @@ const fn lanes_of(count: usize, (below, from): (f64, f64), width: usize) -> Lane
 
 /// `far_beyond(width)[n]`: offsets of squared distances that disable all lanes but the first `n` of
 /// each row of `width` lanes, by adding [`FAR`] to the others.
-const fn far_beyond(width: usize) -> [Lanes; WIDTH + 1] {
-    let mut far = [Lanes::ZERO; WIDTH + 1];
+const fn far_beyond(width: usize) -> [F64x8; WIDTH + 1] {
+    let mut far = [F64x8::ZERO; WIDTH + 1];
     let mut count = 0;
     while count <= WIDTH {
         far[count] = lanes_of(count, (0.0, FAR), width);
@@ -40,33 +40,33 @@ const fn far_beyond(width: usize) -> [Lanes; WIDTH + 1] {
 /// The arrangement of a register's lanes on the mesh.
 struct Layout {
     /// Each lane's offset along its row, in nodes.
-    along: Lanes,
+    along: F64x8,
     /// Each lane's offset across rows.
-    across: Lanes,
+    across: F64x8,
     /// See [`far_beyond`].
-    far: [Lanes; WIDTH + 1],
+    far: [F64x8; WIDTH + 1],
     /// Number of rows.
     rows: usize,
 }
 
 /// Eight nodes of a row.
 const ONE_ROW: Layout = Layout {
-    along: Lanes::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]),
-    across: Lanes::ZERO,
+    along: F64x8::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]),
+    across: F64x8::ZERO,
     far: far_beyond(WIDTH),
     rows: 1,
 };
 
 /// Four nodes of two rows each.
 const TWO_ROWS: Layout = Layout {
-    along: Lanes::new([0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0]),
+    along: F64x8::new([0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0]),
     across: lanes_of(HALF, (0.0, 1.0), WIDTH),
     far: far_beyond(HALF),
     rows: 2,
 };
 
 /// The operation of a particle on the nodes in its reach.
-pub(super) trait Meet<W: Wide, const D: usize> {
+pub(super) trait Meet<W: SimdFloat, const D: usize> {
     /// Processes eight nodes. `places` are the indices of their first and second [`HALF`] in the
     /// columns of a lattice, `apart` their positions minus the particle's, and `square` the squared
     /// distances, beyond every kernel in lanes without a node.
@@ -76,7 +76,7 @@ pub(super) trait Meet<W: Wide, const D: usize> {
 /// A periodically padded mesh, for particles of one reach. Each row is continued past its end, and
 /// so are the planes beyond the periodic boundary, so that every block of nodes is contiguous.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lattice<const D: usize> {
+pub(super) struct PaddedGrid<const D: usize> {
     /// Nodes along each axis.
     pub(super) per_axis: usize,
     /// Length of a padded row.
@@ -102,7 +102,7 @@ struct Block<const D: usize> {
     apart: Vector<f64, D>,
 }
 
-impl<const D: usize> Lattice<D> {
+impl<const D: usize> PaddedGrid<D> {
     pub(super) fn new(mesh: &Mesh<D>, reach: f64) -> Self {
         let (per_axis, spacing) = (mesh.per_axis, mesh.length / mesh.per_axis as f64);
         let (along, inverse_spacing) = (reach.min(0.5 * mesh.length), 1.0 / spacing);
@@ -152,7 +152,7 @@ impl<const D: usize> Lattice<D> {
 
     /// Processes all nodes in reach of a place; planes are counted from `plane`.
     #[inline(always)]
-    pub(super) fn around<W: Wide>(
+    pub(super) fn around<W: SimdFloat>(
         &self,
         place: Vector<f64, D>,
         plane: usize,
@@ -175,7 +175,7 @@ impl<const D: usize> Lattice<D> {
     /// Processes, for each plane of a block, the register at `along` nodes along the rows and
     /// `line` rows across.
     #[inline(always)]
-    fn meet_rows<W: Wide>(
+    fn meet_rows<W: SimdFloat>(
         &self,
         (block, layout): (&Block<D>, &Layout),
         (along, line): (usize, usize),
@@ -224,16 +224,16 @@ fn wrap(number: usize, per_axis: usize) -> usize {
 
 /// Loads the numbers of eight nodes.
 #[inline(always)]
-pub(super) fn load_at<W: Wide>(column: &[f64], [first, second]: [usize; 2]) -> W {
+pub(super) fn load_at<W: SimdFloat>(column: &[f64], [first, second]: [usize; 2]) -> W {
     let mut lanes = [0.0; WIDTH];
     lanes[..HALF].copy_from_slice(&column[first..first + HALF]);
     lanes[HALF..].copy_from_slice(&column[second..second + HALF]);
-    W::load(&Lanes::new(lanes))
+    W::load(&F64x8::new(lanes))
 }
 
 /// Stores them.
 #[inline(always)]
-pub(super) fn store_at<W: Wide>(column: &mut [f64], [first, second]: [usize; 2], numbers: W) {
+pub(super) fn store_at<W: SimdFloat>(column: &mut [f64], [first, second]: [usize; 2], numbers: W) {
     let lanes = numbers.store().to_array();
     column[first..first + HALF].copy_from_slice(&lanes[..HALF]);
     column[second..second + HALF].copy_from_slice(&lanes[HALF..]);

@@ -23,7 +23,7 @@ pub use mesh::Mesh;
 pub use statistical::{statistical_adjoint, statistical_loss};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
-use crate::scalar::{Lanes, WIDTH, Wide};
+use crate::scalar::{F64x8, SimdFloat, WIDTH};
 use crate::vector::Vector;
 
 /// A loss of one frame, with its derivatives by the state of every particle.
@@ -61,9 +61,9 @@ pub struct SquareSum {
     /// relative.
     pub size: f64,
     /// `½ ∂value/∂θ = Σ w R J`, in blocks of eight parameters.
-    half_gradient: Vec<Lanes>,
+    half_gradient: Vec<F64x8>,
     /// `Σ w J Jᵀ`, upper triangle: for each row, its blocks from the diagonal on.
-    normal: Vec<Lanes>,
+    normal: Vec<F64x8>,
 }
 
 impl SquareSum {
@@ -73,14 +73,14 @@ impl SquareSum {
             value: 0.0,
             count: 0.0,
             size: 0.0,
-            half_gradient: vec![Lanes::ZERO; blocks],
-            normal: vec![Lanes::ZERO; blocks * WIDTH * blocks],
+            half_gradient: vec![F64x8::ZERO; blocks],
+            normal: vec![F64x8::ZERO; blocks * WIDTH * blocks],
         }
     }
 
     /// Adds one residual with the derivative `columns(b)` by the parameters of block `b`.
     #[inline(always)]
-    pub fn add(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
+    pub fn add(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> F64x8) {
         self.add_gradient(weight, residual, &columns);
         let blocks = self.half_gradient.len();
         for b in 0..blocks {
@@ -95,7 +95,7 @@ impl SquareSum {
 
     /// As [`Self::add`], without the matrix.
     #[inline(always)]
-    fn add_gradient(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> Lanes) {
+    fn add_gradient(&mut self, weight: f64, residual: f64, columns: impl Fn(usize) -> F64x8) {
         self.value += weight * residual * residual;
         for (b, half) in self.half_gradient.iter_mut().enumerate() {
             *half += columns(b) * (weight * residual);
@@ -105,7 +105,12 @@ impl SquareSum {
     /// Adds many residuals of one weight. `columns` holds the blocks of one residual after another,
     /// and may be longer.
     #[inline(always)]
-    pub(crate) fn add_rows<W: Wide>(&mut self, weight: f64, residuals: &[f64], columns: &[Lanes]) {
+    pub(crate) fn add_rows<W: SimdFloat>(
+        &mut self,
+        weight: f64,
+        residuals: &[f64],
+        columns: &[F64x8],
+    ) {
         let blocks = self.half_gradient.len();
         for (&residual, row) in residuals.iter().zip(columns.chunks_exact(blocks)) {
             self.value += weight * residual * residual;
@@ -124,7 +129,7 @@ impl SquareSum {
 
     /// Adds the matrix of a panel of residuals of one weight.
     #[inline(always)]
-    fn add_normal<W: Wide>(&mut self, weight: f64, columns: &[Lanes]) {
+    fn add_normal<W: SimdFloat>(&mut self, weight: f64, columns: &[F64x8]) {
         let blocks = self.half_gradient.len();
         for b in 0..blocks {
             for other in b..blocks {
@@ -179,13 +184,13 @@ pub struct GradientSum {
     /// The loss.
     pub value: f64,
     /// `∂value/∂θ`, in blocks of eight parameters.
-    gradient: Vec<Lanes>,
+    gradient: Vec<F64x8>,
 }
 
 impl GradientSum {
     /// An empty sum over `blocks` blocks of eight parameters.
     pub fn new(blocks: usize) -> Self {
-        Self { value: 0.0, gradient: vec![Lanes::ZERO; blocks] }
+        Self { value: 0.0, gradient: vec![F64x8::ZERO; blocks] }
     }
 
     /// Adds another sum.
@@ -213,7 +218,7 @@ mod tests {
             let (weight, residual, j) = (0.5, 1.0 - 0.4 * k as f64, slopes(k));
             let mut lanes = [0.0; WIDTH];
             lanes[..3].copy_from_slice(&j);
-            sum.add(weight, residual, |_| Lanes::new(lanes));
+            sum.add(weight, residual, |_| F64x8::new(lanes));
             value += weight * residual * residual;
             for a in 0..3 {
                 gradient[a] += 2.0 * weight * residual * j[a];
@@ -229,7 +234,7 @@ mod tests {
     fn many_residuals_add_what_each_adds_alone() {
         const BLOCKS: usize = 3;
         let column = |k: usize, b: usize| {
-            let mut lanes = Lanes::ZERO;
+            let mut lanes = F64x8::ZERO;
             (0..WIDTH).for_each(|l| lanes.set_lane(l, ((7 * k + 3 * b + l) % 11) as f64 - 4.5));
             lanes
         };
@@ -240,7 +245,7 @@ mod tests {
             one.add(0.7, residual, |b| column(k, b));
         }
         let columns = (0..rows + 1).flat_map(|k| (0..BLOCKS).map(move |b| column(k, b)));
-        many.add_rows::<Lanes>(0.7, &residuals, &columns.collect::<Vec<_>>());
+        many.add_rows::<F64x8>(0.7, &residuals, &columns.collect::<Vec<_>>());
         let count = BLOCKS * WIDTH;
         assert_eq!((one.value, one.gradient(count)), (many.value, many.gradient(count)));
         let (one, many) = (one.normal(count), many.normal(count));

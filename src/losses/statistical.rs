@@ -2,7 +2,7 @@
 
 use super::{GradientSum, IncrementDensities, IncrementLoss, StateAdjoint};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::scalar::Lanes;
+use crate::scalar::F64x8;
 use crate::vector::Vector;
 use rayon::prelude::*;
 
@@ -21,7 +21,7 @@ pub fn statistical_loss<const D: usize>(
 ) -> GradientSum {
     let IncrementLoss { value, gradient } = divergence((packed, slot_of_row), start, truth);
     let column = |block: &&[PackedSensitivity<D>]| {
-        let mut sum = Lanes::ZERO;
+        let mut sum = F64x8::ZERO;
         for (slope, &slot) in gradient.iter().zip(slot_of_row) {
             for axis in 0..D {
                 sum += block[slot as usize].velocity[axis] * (weight * slope[axis]);

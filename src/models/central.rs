@@ -1,9 +1,9 @@
 //! A central pair force written as one function, and differentiated by dual numbers.
 
-use super::{CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Strength};
+use super::{CentralSlope, Constitutive, Medium, PairCoefficient, PairCotangent, PairLaw, Scratch};
 use crate::pairs::{Batch, Pair};
 use crate::parameters::ParameterSpec;
-use crate::scalar::{Dual, Scalar, Wide};
+use crate::scalar::{Dual, Scalar, SimdFloat};
 use crate::scene::Values;
 use crate::vector::Vector;
 use std::fmt::Debug;
@@ -98,13 +98,13 @@ impl<F: CentralForce<P>, const P: usize, const D: usize> Central<F, P, D> {
     }
 
     #[inline(always)]
-    fn strength<W: Wide>(&self, pairs: &Batch<W, D>) -> Strength<W, [W; P]> {
+    fn strength<W: SimdFloat>(&self, pairs: &Batch<W, D>) -> PairCoefficient<W, [W; P]> {
         let (h, pair) = (self.medium.smoothing.h, &pairs.pair);
         let variable = |value, index| Dual::variable(value, index, [W::of(0.0); 4]);
         let by_state = self.force.strength(
             &Pair {
                 r2: variable(pair.r2, 0),
-                approach: variable(pair.approach, 1),
+                v_dot_r: variable(pair.v_dot_r, 1),
                 rho_i: variable(pair.rho_i, 2),
                 rho_j: variable(pair.rho_j, 3),
             },
@@ -119,19 +119,19 @@ impl<F: CentralForce<P>, const P: usize, const D: usize> Central<F, P, D> {
         let by_parameter = self.force.strength(
             &Pair {
                 r2: constant(pair.r2),
-                approach: constant(pair.approach),
+                v_dot_r: constant(pair.v_dot_r),
                 rho_i: constant(pair.rho_i),
                 rho_j: constant(pair.rho_j),
             },
             h,
             parameters,
         );
-        let [by_r2, by_approach, by_density, _] = by_state.gradient;
-        Strength {
+        let [by_r2, by_v_dot_r, by_density, _] = by_state.gradient;
+        PairCoefficient {
             value: by_state.value,
             by_separation: by_r2 * 2.0,
-            by_approach,
-            by_stress: W::of(0.0),
+            by_v_dot_r,
+            by_p_over_rho2: W::of(0.0),
             by_density,
             by_parameter: by_parameter.gradient,
         }
@@ -174,32 +174,36 @@ impl<F: CentralForce<P>, const P: usize, const D: usize> Constitutive<D> for Cen
 }
 
 impl<F: CentralForce<P>, const P: usize, const D: usize> PairLaw<D> for Central<F, P, D> {
-    type ByParameter<W: Wide> = [W; P];
-    type Slope<W: Wide> = CentralSlope<W, D, [W; P]>;
+    type ByParameter<W: SimdFloat> = [W; P];
+    type Slope<W: SimdFloat> = CentralSlope<W, D, [W; P]>;
 
     fn is_antisymmetric(&self) -> bool {
         true
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> Vector<W, D> {
         let values = self.values.map(W::of);
         pairs.separation * self.force.strength(&pairs.pair, self.medium.smoothing.h, values)
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; P]> {
+    fn slope<W: SimdFloat>(
+        &self,
+        pairs: &Batch<W, D>,
+        _: &mut Scratch,
+    ) -> CentralSlope<W, D, [W; P]> {
         CentralSlope::new(pairs, &self.strength(pairs), [W::of(0.0); 2])
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D, [W; P]> {
         use super::Slope;
-        self.slope(pairs, room).pullback(force)
+        self.slope(pairs, scratch).pullback(force)
     }
 }

@@ -4,12 +4,12 @@
 
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Scratch, Scales,
 };
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Scalar, Wide};
+use crate::scalar::{F64x8, Scalar, SimdFloat};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -53,17 +53,17 @@ impl<const D: usize> EosNn<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network })
     }
 
-    /// `NN`; leaves `room` ready for its derivatives.
+    /// `NN`; leaves `scratch` ready for its derivatives.
     #[inline(always)]
-    fn evaluate(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        room.input[0] = (rho - 1.0) / self.units.compression;
-        self.network.value(room);
-        room.output[0]
+    fn evaluate(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        scratch.input[0] = (rho - 1.0) / self.units.compression;
+        self.network.value(scratch);
+        scratch.output[0]
     }
 }
 
 impl<const D: usize> Constitutive<D> for EosNn<D> {
-    fn has_stress(&self) -> bool {
+    fn has_pressure(&self) -> bool {
         true
     }
 
@@ -76,25 +76,25 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
 
     /// `A = S NN/ρ²`.
     #[inline(always)]
-    fn stress(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        self.evaluate(rho, room) * self.units.stress / (rho * rho)
+    fn p_over_rho2(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        self.evaluate(rho, scratch) * self.units.p_over_rho2 / (rho * rho)
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        room.stress_by.fill(Lanes::ZERO);
-        let value = self.evaluate(rho, room);
-        self.network.jacobian(room);
-        let by_density = room.jacobian[0] / self.units.compression - value * 2.0 / rho;
-        by_density * self.units.stress / (rho * rho)
+    fn p_over_rho2_slope(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        scratch.p_over_rho2_by.fill(F64x8::ZERO);
+        let value = self.evaluate(rho, scratch);
+        self.network.jacobian(scratch);
+        let by_density = scratch.jacobian[0] / self.units.compression - value * 2.0 / rho;
+        by_density * self.units.p_over_rho2 / (rho * rho)
     }
 
     #[inline(always)]
-    fn stress_weights(&self, rho: Lanes, room: &mut Room) {
-        self.evaluate(rho, room);
-        self.network.weight_gradient(0, room);
-        let scale = Lanes::of(self.units.stress) / (rho * rho);
-        for slope in &mut room.weights {
+    fn p_over_rho2_weights(&self, rho: F64x8, scratch: &mut Scratch) {
+        self.evaluate(rho, scratch);
+        self.network.weight_gradient(0, scratch);
+        let scale = F64x8::of(self.units.p_over_rho2) / (rho * rho);
+        for slope in &mut scratch.weights {
             *slope = *slope * scale;
         }
     }
@@ -102,18 +102,18 @@ impl<const D: usize> Constitutive<D> for EosNn<D> {
     /// One evaluation and one pullback of the network. The sums over weights are per lane, not yet
     /// added up.
     #[inline(always)]
-    fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
-        let value = self.evaluate(rho, room);
-        let by_value = stress * self.units.stress / (rho * rho);
-        room.output_cotangent[0] = by_value;
-        self.network.pullback(room);
-        room.input_cotangent[0] / self.units.compression - value * by_value * 2.0 / rho
+    fn p_over_rho2_pullback(&self, rho: F64x8, p_over_rho2: F64x8, scratch: &mut Scratch) -> F64x8 {
+        let value = self.evaluate(rho, scratch);
+        let by_value = p_over_rho2 * self.units.p_over_rho2 / (rho * rho);
+        scratch.output_cotangent[0] = by_value;
+        self.network.pullback(scratch);
+        scratch.input_cotangent[0] / self.units.compression - value * by_value * 2.0 / rho
     }
 }
 
 impl<const D: usize> PairLaw<D> for EosNn<D> {
-    type ByParameter<W: Wide> = [W; 3];
-    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
+    type ByParameter<W: SimdFloat> = [W; 3];
+    type Slope<W: SimdFloat> = CentralSlope<W, D, [W; 3]>;
 
     const IS_FLUID: bool = true;
 
@@ -123,21 +123,21 @@ impl<const D: usize> PairLaw<D> for EosNn<D> {
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> Vector<W, D> {
         self.medium.force(pairs)
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; 3]> {
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> CentralSlope<W, D, [W; 3]> {
         self.medium.slope(pairs)
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        _: &mut Room,
+        _: &mut Scratch,
     ) -> PairCotangent<W, D, [W; 3]> {
         self.medium.pullback(pairs, force)
     }

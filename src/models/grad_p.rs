@@ -4,12 +4,12 @@
 
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Scratch, Scales,
 };
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{F64x8, SimdFloat};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -58,7 +58,7 @@ impl<const D: usize> GradP<D> {
 
     /// Derivatives by `rᵢⱼ` from derivatives by the network's inputs.
     #[inline(always)]
-    fn by_separation<W: Wide>(&self, pairs: &Batch<W, D>, by_input: &[Lanes]) -> Vector<W, D> {
+    fn by_separation<W: SimdFloat>(&self, pairs: &Batch<W, D>, by_input: &[F64x8]) -> Vector<W, D> {
         if self.antisymmetric {
             return pairs.direction() * (W::load(&by_input[0]) / self.units.length);
         }
@@ -79,8 +79,8 @@ impl<const D: usize> Constitutive<D> for GradP<D> {
 }
 
 impl<const D: usize> PairLaw<D> for GradP<D> {
-    type ByParameter<W: Wide> = [W; 3];
-    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
+    type ByParameter<W: SimdFloat> = [W; 3];
+    type Slope<W: SimdFloat> = CentralSlope<W, D, [W; 3]>;
 
     const HAS_NETWORK: bool = true;
     const IS_FLUID: bool = true;
@@ -92,47 +92,47 @@ impl<const D: usize> PairLaw<D> for GradP<D> {
 
     /// `S NN` in place of `Aᵢ + Aⱼ`.
     #[inline(always)]
-    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
+    fn p_over_rho2_sum<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> W {
         if self.antisymmetric {
-            room.input[0] = (pairs.pair.r2.sqrt() / self.units.length).store();
+            scratch.input[0] = (pairs.pair.r2.sqrt() / self.units.length).store();
         } else {
             for axis in 0..D {
-                room.input[axis] = (pairs.separation[axis] / self.units.length).store();
+                scratch.input[axis] = (pairs.separation[axis] / self.units.length).store();
             }
         }
-        self.network.value(room);
-        W::load(&room.output[0]) * self.units.stress
+        self.network.value(scratch);
+        W::load(&scratch.output[0]) * self.units.p_over_rho2
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
-        let stresses = self.stresses(pairs, room);
-        pairs.separation * self.medium.strength(&pairs.pair, stresses)
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> Vector<W, D> {
+        let p_over_rho2_sum = self.p_over_rho2_sum(pairs, scratch);
+        pairs.separation * self.medium.strength(&pairs.pair, p_over_rho2_sum)
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D, [W; 3]> {
-        let stresses = self.stresses(pairs, room);
-        self.network.jacobian(room);
-        let s = self.medium.strength_gradient(&pairs.pair, stresses);
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> CentralSlope<W, D, [W; 3]> {
+        let p_over_rho2_sum = self.p_over_rho2_sum(pairs, scratch);
+        self.network.jacobian(scratch);
+        let s = self.medium.coefficient_gradient(&pairs.pair, p_over_rho2_sum);
         let mut slope = CentralSlope::new(pairs, &s, [W::of(0.0); 2]);
-        let by_network = s.by_stress * self.units.stress;
-        slope.by_separation += self.by_separation(pairs, &room.jacobian) * by_network;
+        let by_network = s.by_p_over_rho2 * self.units.p_over_rho2;
+        slope.by_separation += self.by_separation(pairs, &scratch.jacobian) * by_network;
         slope
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D, [W; 3]> {
-        let stresses = self.stresses(pairs, room);
-        let (mut cotangent, by_stress) = self.medium.pullback_of(pairs, stresses, force);
-        room.output_cotangent[0] = (by_stress * self.units.stress).store();
-        self.network.pullback(room);
-        cotangent.separation += self.by_separation(pairs, &room.input_cotangent);
+        let p_over_rho2_sum = self.p_over_rho2_sum(pairs, scratch);
+        let (mut cotangent, by_p_over_rho2) = self.medium.pullback_of(pairs, p_over_rho2_sum, force);
+        scratch.output_cotangent[0] = (by_p_over_rho2 * self.units.p_over_rho2).store();
+        self.network.pullback(scratch);
+        cotangent.separation += self.by_separation(pairs, &scratch.input_cotangent);
         cotangent
     }
 }

@@ -6,7 +6,7 @@ use super::{CentralSlope, PairCotangent};
 use crate::kernel::{AnyKernel, Kernel, KernelChoice, Smoothing};
 use crate::pairs::{Batch, Pair};
 use crate::parameters::{Coordinate, Domain, Parameter, ParameterSpec};
-use crate::scalar::{Scalar, Wide};
+use crate::scalar::{Scalar, SimdFloat};
 use crate::scene::Scene;
 use crate::vector::Vector;
 use crate::viscosity::{Viscosity, monaghan, monaghan_gradient};
@@ -66,15 +66,15 @@ pub struct Medium<const D: usize> {
 
 /// The coefficient `s` of a central pair force, `aᵢ += s rᵢⱼ`, and its gradient.
 #[derive(Clone, Copy, Debug)]
-pub struct Strength<T, P = [T; 0]> {
+pub struct PairCoefficient<T, P = [T; 0]> {
     /// `s`.
     pub value: T,
     /// `∂s/∂(r·δr)`, that is `2 ∂s/∂(r²)`.
     pub by_separation: T,
     /// `∂s/∂(v·r)`.
-    pub by_approach: T,
+    pub by_v_dot_r: T,
     /// `∂s/∂X` with `X = Aᵢ + Aⱼ`.
-    pub by_stress: T,
+    pub by_p_over_rho2: T,
     /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed `A`.
     pub by_density: T,
     /// `∂s/∂(c, α, β)` at fixed `A`, or by the first parameters of another law.
@@ -146,36 +146,40 @@ impl<const D: usize> Medium<D> {
 
     /// The parts of [`Medium::strength`]: pressure and viscosity.
     #[inline(always)]
-    pub fn strengths<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> [T; 2] {
-        let pull = self.smoothing.gradient(pair.r2.sqrt());
+    pub fn coefficients<T: Scalar>(&self, pair: &Pair<T>, p_over_rho2_sum: T) -> [T; 2] {
+        let pull = self.smoothing.dw_over_r(pair.r2.sqrt());
         let viscous = monaghan(pair, self.smoothing.h, &self.viscosity());
-        [stresses * pull * -self.mass, viscous * pull * -self.mass]
+        [p_over_rho2_sum * pull * -self.mass, viscous * pull * -self.mass]
     }
 
     /// `s = −m (X + Πᵢⱼ) G(r)` with `X = Aᵢ + Aⱼ`: the coefficient of Eq. (7).
     #[inline(always)]
-    pub fn strength<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> T {
-        let pull = self.smoothing.gradient(pair.r2.sqrt());
+    pub fn strength<T: Scalar>(&self, pair: &Pair<T>, p_over_rho2_sum: T) -> T {
+        let pull = self.smoothing.dw_over_r(pair.r2.sqrt());
         if self.is_inviscid() {
-            return stresses * pull * -self.mass;
+            return p_over_rho2_sum * pull * -self.mass;
         }
-        (stresses + monaghan(pair, self.smoothing.h, &self.viscosity())) * pull * -self.mass
+        (p_over_rho2_sum + monaghan(pair, self.smoothing.h, &self.viscosity())) * pull * -self.mass
     }
 
     /// [`Medium::strength`] with its derivatives, by hand.
     #[inline(always)]
-    pub fn strength_gradient<T: Scalar>(&self, pair: &Pair<T>, stresses: T) -> Strength<T, [T; 3]> {
+    pub fn coefficient_gradient<T: Scalar>(
+        &self,
+        pair: &Pair<T>,
+        p_over_rho2_sum: T,
+    ) -> PairCoefficient<T, [T; 3]> {
         let by = self.viscosity();
         let r = pair.r2.sqrt();
-        let [gradient, curvature] = self.smoothing.slopes(r);
-        let pull = gradient * -self.mass;
+        let [dw_over_r, d_dw_over_r] = self.smoothing.dw_derivatives(r);
+        let pull = dw_over_r * -self.mass;
         let viscous = monaghan_gradient(pair, self.smoothing.h, &by);
-        let total = stresses + viscous.value;
-        Strength {
+        let total = p_over_rho2_sum + viscous.value;
+        PairCoefficient {
             value: total * pull,
-            by_separation: total * curvature * -self.mass + viscous.by_r2 * pull * 2.0,
-            by_approach: viscous.by_approach * pull,
-            by_stress: pull,
+            by_separation: total * d_dw_over_r * -self.mass + viscous.by_r2 * pull * 2.0,
+            by_v_dot_r: viscous.by_v_dot_r * pull,
+            by_p_over_rho2: pull,
             by_density: viscous.by_density * pull,
             by_parameter: [viscous.by.c * pull, viscous.by.alpha * pull, viscous.by.beta * pull],
         }
@@ -183,74 +187,74 @@ impl<const D: usize> Medium<D> {
 
     /// The linearised force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
-    pub fn slope<W: Wide>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
-        let s = self.strength_gradient(&pairs.pair, pairs.stress_i + pairs.stress_j);
-        CentralSlope::new(pairs, &s, [s.by_stress; 2])
+    pub fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>) -> CentralSlope<W, D, [W; 3]> {
+        let s = self.coefficient_gradient(&pairs.pair, pairs.p_over_rho2_i + pairs.p_over_rho2_j);
+        CentralSlope::new(pairs, &s, [s.by_p_over_rho2; 2])
     }
 
     /// `∂f/∂p` by a parameter of the kernel's shape, for eight pairs with sums `X`:
     /// `−m (X + Πᵢⱼ) ∂G/∂p rᵢⱼ`.
     #[inline(always)]
-    pub fn by_kernel<W: Wide>(
+    pub fn by_kernel<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
-        stresses: W,
+        p_over_rho2_sum: W,
         parameter: usize,
     ) -> Vector<W, D> {
-        let by = self.smoothing.gradient_by(parameter, pairs.pair.r2.sqrt());
+        let by = self.smoothing.dw_over_r_by(parameter, pairs.pair.r2.sqrt());
         let viscous = monaghan(&pairs.pair, self.smoothing.h, &self.viscosity());
-        pairs.separation * ((stresses + viscous) * by * -self.mass)
+        pairs.separation * ((p_over_rho2_sum + viscous) * by * -self.mass)
     }
 
     /// The pullback of the force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
-    pub fn pullback<W: Wide>(
+    pub fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
     ) -> PairCotangent<W, D, [W; 3]> {
-        let (mut cotangent, by_stress) =
-            self.pullback_of(pairs, pairs.stress_i + pairs.stress_j, force);
-        cotangent.stress = [by_stress; 2];
+        let (mut cotangent, by_p_over_rho2) =
+            self.pullback_of(pairs, pairs.p_over_rho2_i + pairs.p_over_rho2_j, force);
+        cotangent.p_over_rho2 = [by_p_over_rho2; 2];
         cotangent
     }
 
     /// The pullback of the force of eight pairs with sums `X`, at fixed `X`, and `∂L/∂X`. With the
     /// derivatives `s_r`, `s_v` of the coefficient by `r·δr` and `v·r`, and `a = λ·rᵢⱼ`, it is
     /// `∂L/∂rᵢⱼ = s λ + a s_r rᵢⱼ + a s_v vᵢⱼ`, `∂L/∂vᵢⱼ = a s_v rᵢⱼ`. It equals
-    /// [`Medium::strength_gradient`] times `a`, but costs less, because all terms of the viscosity
+    /// [`Medium::coefficient_gradient`] times `a`, but costs less, because all terms of the viscosity
     /// share a factor.
     #[inline(always)]
-    pub fn pullback_of<W: Wide>(
+    pub fn pullback_of<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
-        stresses: W,
+        p_over_rho2_sum: W,
         force: Vector<W, D>,
     ) -> (PairCotangent<W, D, [W; 3]>, W) {
         let (r, v, h) = (pairs.separation, pairs.velocity, self.smoothing.h);
         let by = self.viscosity();
-        let [gradient, curvature] = self.smoothing.slopes(pairs.pair.r2.sqrt());
+        let [dw_over_r, d_dw_over_r] = self.smoothing.dw_derivatives(pairs.pair.r2.sqrt());
         let viscous = monaghan_gradient(&pairs.pair, h, &by);
-        let (pull, total) = (gradient * -self.mass, stresses + viscous.value);
+        let (pull, total) = (dw_over_r * -self.mass, p_over_rho2_sum + viscous.value);
         let along = force.dot(r);
-        let by_stress = along * pull;
-        let by_approach = viscous.by_approach * by_stress;
-        let by_separation = total * curvature * (along * -self.mass)
-            + by_approach * viscous.mu * (-2.0 * self.smoothing.inverse_h);
-        let linear = viscous.linear * by_stress;
+        let by_p_over_rho2 = along * pull;
+        let by_v_dot_r = viscous.by_v_dot_r * by_p_over_rho2;
+        let by_separation = total * d_dw_over_r * (along * -self.mass)
+            + by_v_dot_r * viscous.mu * (-2.0 * self.smoothing.inverse_h);
+        let linear = viscous.linear * by_p_over_rho2;
         let cotangent = PairCotangent {
-            separation: force * (total * pull) + r * by_separation + v * by_approach,
-            velocity: r * by_approach,
-            stress: [W::of(0.0); 2],
-            density: [viscous.by_density * by_stress; 2],
+            separation: force * (total * pull) + r * by_separation + v * by_v_dot_r,
+            velocity: r * by_v_dot_r,
+            p_over_rho2: [W::of(0.0); 2],
+            density: [viscous.by_density * by_p_over_rho2; 2],
             parameters: [-(by.alpha * linear), -(by.c * linear), viscous.mu * linear],
         };
-        (cotangent, by_stress)
+        (cotangent, by_p_over_rho2)
     }
 
     /// The force of eight pairs with `X = Aᵢ + Aⱼ` of the two particles.
     #[inline(always)]
-    pub fn force<W: Wide>(&self, pairs: &Batch<W, D>) -> Vector<W, D> {
-        pairs.separation * self.strength(&pairs.pair, pairs.stress_i + pairs.stress_j)
+    pub fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>) -> Vector<W, D> {
+        pairs.separation * self.strength(&pairs.pair, pairs.p_over_rho2_i + pairs.p_over_rho2_j)
     }
 }

@@ -1,7 +1,7 @@
 //! The hierarchy of models, Eqs. (2) to (7): the law by which particles accelerate.
 //!
 //! A model consists of a function of density for each particle ([`Constitutive`]: `A(ρ)`, called
-//! *stress*) and a force between two particles ([`PairLaw`]), each with its derivatives. The loops
+//! `P/ρ²`) and a force between two particles ([`PairLaw`]), each with its derivatives. The loops
 //! over particles, forwards and backwards, follow from these. A model with a force that depends on
 //! all neighbours together ([`Node`]) writes its own loops ([`Model`]). The systems call a
 //! [`Model`] once per chunk of particles, by a virtual call of negligible cost: each loop is
@@ -36,30 +36,30 @@ mod central;
 mod laminar;
 mod medium;
 mod pairwise;
-mod room;
 mod scales;
+mod scratch;
 mod slope;
 mod tangent;
 mod window;
 
 pub use central::{Central, CentralForce};
 pub use laminar::{LaminarViscosity, MonaghanCleary, Morris};
-pub use medium::{FluidConstants, Medium, Strength};
-pub use room::{Learned, Room};
+pub use medium::{FluidConstants, Medium, PairCoefficient};
 pub use scales::Scales;
+pub use scratch::{Learned, Scratch};
 pub use slope::{CentralSlope, Change, GeneralSlope, PairCotangent, Slope, Slots};
 use slope::{load_vector, store_vector};
 pub use tangent::{
-    CentralRows, EightPairs, Form, GeneralRows, MatrixRows, OwnSlope, PairRows, Slopes,
+    CentralRows, EightPairs, ForceJacobian, Form, GeneralRows, MatrixRows, OwnSlope, PairRows,
 };
 pub use window::Window;
 
 use crate::error::{Error, Result};
 use crate::kernel::{AnyKernel, Smoothing};
 use crate::packed::PackedAdjoint;
-use crate::pairs::{Batch, Hood};
+use crate::pairs::{Batch, Neighbourhood};
 use crate::parameters::ParameterSpec;
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{F64x8, SimdFloat};
 use crate::scene::nothing_beside;
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
@@ -202,7 +202,7 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 
     /// Whether the model has a function `A(ρ)`.
-    fn has_stress(&self) -> bool {
+    fn has_pressure(&self) -> bool {
         false
     }
 
@@ -249,32 +249,32 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
     }
 
     /// `A` of eight particles of density `rho`.
-    fn stress(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        let _ = (rho, room);
-        Lanes::ZERO
+    fn p_over_rho2(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        let _ = (rho, scratch);
+        F64x8::ZERO
     }
 
-    /// `∂A/∂ρ`. Also writes `∂A` by each scalar parameter into `room.stress_by`, zero for
+    /// `∂A/∂ρ`. Also writes `∂A` by each scalar parameter into `scratch.p_over_rho2_by`, zero for
     /// parameters that `A` does not depend on.
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
+    fn p_over_rho2_slope(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
         let _ = rho;
-        room.stress_by.fill(Lanes::ZERO);
-        Lanes::ZERO
+        scratch.p_over_rho2_by.fill(F64x8::ZERO);
+        F64x8::ZERO
     }
 
-    /// Writes `∂A/∂weights` into `room.weights`; does nothing where `A` has no network.
-    fn stress_weights(&self, rho: Lanes, room: &mut Room) {
-        let _ = (rho, room);
+    /// Writes `∂A/∂weights` into `scratch.weights`; does nothing where `A` has no network.
+    fn p_over_rho2_weights(&self, rho: F64x8, scratch: &mut Scratch) {
+        let _ = (rho, scratch);
     }
 
     /// The transpose of both: from `∂L/∂A` of eight particles, `∂L/∂ρ` through `A`. The derivatives
-    /// by parameters and weights are added to the sums in `room`.
-    fn stress_pullback(&self, rho: Lanes, stress: Lanes, room: &mut Room) -> Lanes {
-        let by_density = self.stress_slope(rho, room);
-        for (sum, &by) in room.scalars.iter_mut().zip(&room.stress_by) {
-            *sum += by * stress;
+    /// by parameters and weights are added to the sums in `scratch`.
+    fn p_over_rho2_pullback(&self, rho: F64x8, p_over_rho2: F64x8, scratch: &mut Scratch) -> F64x8 {
+        let by_density = self.p_over_rho2_slope(rho, scratch);
+        for (sum, &by) in scratch.scalars.iter_mut().zip(&scratch.p_over_rho2_by) {
+            *sum += by * p_over_rho2;
         }
-        by_density * stress
+        by_density * p_over_rho2
     }
 }
 
@@ -282,15 +282,15 @@ pub trait Constitutive<const D: usize>: Debug + Send + Sync {
 pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
     /// One number for each of its first scalar parameters, those on which the pair force depends
     /// directly: `[W; P]`.
-    type ByParameter<W: Wide>: Slots<W>;
+    type ByParameter<W: SimdFloat>: Slots<W>;
     /// The linearised force.
-    type Slope<W: Wide>: Slope<W, D, ByParameter = Self::ByParameter<W>>;
+    type Slope<W: SimdFloat>: Slope<W, D, ByParameter = Self::ByParameter<W>>;
 
     /// Whether the law holds only plain numbers, except for the table of a tabulated kernel. The
     /// pullback then keeps them in registers.
     const IS_NUMBERS: bool = false;
 
-    /// Whether the force is that of a fluid, Eq. (7), with the law's own [sums](PairLaw::stresses)
+    /// Whether the force is that of a fluid, Eq. (7), with the law's own [sums](PairLaw::p_over_rho2_sum)
     /// `Aᵢ + Aⱼ`. Its parts and its derivative by the kernel's shape then follow from the
     /// [`Medium`].
     const IS_FLUID: bool = false;
@@ -312,66 +312,67 @@ pub trait PairLaw<const D: usize>: Constitutive<D> + Clone + 'static {
 
     /// The sum `X = Aᵢ + Aⱼ` of eight pairs.
     #[inline(always)]
-    fn stresses<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
-        let _ = room;
-        pairs.stress_i + pairs.stress_j
+    fn p_over_rho2_sum<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> W {
+        let _ = scratch;
+        pairs.p_over_rho2_i + pairs.p_over_rho2_j
     }
 
     /// One of the parts of [`PairLaw::force`].
     #[inline(always)]
-    fn part_of_force<W: Wide>(
+    fn part_of_force<W: SimdFloat>(
         &self,
         part: usize,
         pairs: &Batch<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> Vector<W, D> {
         if Self::IS_FLUID {
-            let stresses = self.stresses(pairs, room);
-            return pairs.separation * self.medium().strengths(&pairs.pair, stresses)[part];
+            let p_over_rho2_sum = self.p_over_rho2_sum(pairs, scratch);
+            return pairs.separation
+                * self.medium().coefficients(&pairs.pair, p_over_rho2_sum)[part];
         }
-        self.force(pairs, room)
+        self.force(pairs, scratch)
     }
 
     /// `∂f/∂p` by a parameter of the kernel's shape, where the law [has one](PairLaw::HAS_KERNEL).
     #[inline(always)]
-    fn by_kernel<W: Wide>(
+    fn by_kernel<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> Vector<W, D> {
         if Self::IS_FLUID {
-            let stresses = self.stresses(pairs, room);
-            return self.medium().by_kernel(pairs, stresses, parameter);
+            let p_over_rho2_sum = self.p_over_rho2_sum(pairs, scratch);
+            return self.medium().by_kernel(pairs, p_over_rho2_sum, parameter);
         }
         Vector::zero()
     }
 
     /// The acceleration `fᵢⱼ` of particle `i` by each of eight neighbours.
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D>;
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> Vector<W, D>;
 
     /// Its derivative by the pair's state.
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Self::Slope<W>;
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> Self::Slope<W>;
 
     /// From `∂L/∂fᵢⱼ`, the derivatives by the pair's state and by the first parameters, at fixed
-    /// `A`. Derivatives by a network's weights are added to `room.weights`.
-    fn pullback<W: Wide>(
+    /// `A`. Derivatives by a network's weights are added to `scratch.weights`.
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D, Self::ByParameter<W>>;
 }
 
 /// Which derivatives of a force are computed.
 #[derive(Clone, Copy, Debug)]
-pub struct Kept<'a> {
+pub struct TangentOptions<'a> {
     /// All, or only those by particle `i`'s own state.
     pub coupling: Coupling,
     /// Whether the direct derivatives by scalar parameters are needed.
     pub direct: bool,
     /// `∂A/∂ρ` per slot.
-    pub stress_slopes: &'a [f64],
+    pub p_over_rho2_slopes: &'a [f64],
 }
 
 /// The output of a force evaluation, for a chunk of particles.
@@ -385,7 +386,7 @@ pub struct ForceOutput<'a, const D: usize> {
 
 /// The output of the pullback of one chunk's forces, in the order of its slots.
 #[derive(Debug)]
-pub struct Passed<'a, const D: usize> {
+pub struct PullbackOutput<'a, const D: usize> {
     /// `∂L/∂r`, added to.
     pub position: &'a mut [Vector<f64, D>],
     /// `∂L/∂v`, added to.
@@ -407,15 +408,19 @@ pub struct PairShare<const D: usize> {
     /// `∂L/∂vⱼ`.
     pub velocity: Vector<f64, D>,
     /// `∂L/∂Aⱼ`.
-    pub stress: f64,
+    pub p_over_rho2: f64,
     /// `∂L/∂ρⱼ`.
     pub density: f64,
 }
 
 impl<const D: usize> PairShare<D> {
     /// Zero.
-    pub const ZERO: Self =
-        Self { position: Vector([0.0; D]), velocity: Vector([0.0; D]), stress: 0.0, density: 0.0 };
+    pub const ZERO: Self = Self {
+        position: Vector([0.0; D]),
+        velocity: Vector([0.0; D]),
+        p_over_rho2: 0.0,
+        density: 0.0,
+    };
 }
 
 /// A law of motion over chunks of particles, as the systems call it. Every [`PairLaw`] is one.
@@ -424,46 +429,69 @@ pub trait Model<const D: usize>: Constitutive<D> {
     fn boxed(&self) -> Box<dyn Model<D>>;
 
     /// `aᵢ` of every particle of a chunk.
-    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>);
+    fn accelerations(
+        &self,
+        neighbourhood: Neighbourhood<'_>,
+        scratch: &mut Scratch,
+        out: ForceOutput<'_, D>,
+    );
 
     /// A scratch buffer to evaluate it in.
-    fn room(&self) -> Room {
-        Room::new(self.scalars(), self.network())
+    fn scratch(&self) -> Scratch {
+        Scratch::new(self.scalars(), self.network())
     }
 
     /// Names of the parts of its force.
     fn part_names(&self) -> &'static [&'static str];
 
     /// One of the parts, for every particle of a chunk.
-    fn part(&self, part: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]);
+    fn part(
+        &self,
+        part: usize,
+        neighbourhood: Neighbourhood<'_>,
+        scratch: &mut Scratch,
+        out: &mut [Vector<f64, D>],
+    );
 
     /// The linearised accelerations of a chunk at fixed weights, by the states of its particles and
     /// of their neighbours; overwrites `into`.
-    fn slopes(&self, hood: Hood<'_>, kept: Kept<'_>, room: &mut Room, into: &mut Slopes);
+    fn slopes(
+        &self,
+        neighbourhood: Neighbourhood<'_>,
+        kept: TangentOptions<'_>,
+        scratch: &mut Scratch,
+        into: &mut ForceJacobian,
+    );
 
     /// Whether the pair force itself, and not only `A`, depends on the network.
     fn has_force_network(&self) -> bool;
 
     /// Whether `A` depends on the network.
-    fn has_stress_network(&self) -> bool {
-        self.has_stress() && self.network().is_some() && !self.has_force_network()
+    fn has_p_over_rho2_network(&self) -> bool {
+        self.has_pressure() && self.network().is_some() && !self.has_force_network()
     }
 
     /// `∂aᵢ/∂weights` at fixed state, `[particle][axis][weight]`, of consecutive particles until
     /// `out` is full, starting from a chunk's particle `first`, a multiple of eight.
-    fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]);
+    fn weight_shares(
+        &self,
+        neighbourhood: Neighbourhood<'_>,
+        first: usize,
+        scratch: &mut Scratch,
+        out: &mut [f64],
+    );
 
     /// Whether the pullback writes separate shares for neighbours, because pair forces are not
     /// opposite.
     fn passes_to_neighbours(&self) -> bool;
 
     /// From `∂L/∂a` (`forces`, per slot) to the derivatives by the state. Derivatives by the
-    /// parameters are added to the sums in `room`.
+    /// parameters are added to the sums in `scratch`.
     fn pull_back(
         &self,
-        hood: Hood<'_>,
+        neighbourhood: Neighbourhood<'_>,
         forces: &[PackedAdjoint],
-        room: &mut Room,
-        into: Passed<'_, D>,
+        scratch: &mut Scratch,
+        into: PullbackOutput<'_, D>,
     );
 }

@@ -4,13 +4,13 @@
 
 use super::scales::Units;
 use super::{
-    Constitutive, GeneralSlope, Learned, MatrixRows, Medium, PairCotangent, PairLaw, Room, Scales,
+    Constitutive, GeneralSlope, Learned, MatrixRows, Medium, PairCotangent, PairLaw, Scratch, Scales,
     Window,
 };
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::Wide;
+use crate::scalar::SimdFloat;
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -61,14 +61,14 @@ impl<const D: usize> NnSum<D> {
         Ok(Self { units: options.scales.units(&medium), medium, network, antisymmetric, window })
     }
 
-    /// Evaluates `NN(ij)`, or `NN(ji)` for `sign = −1`, into `room`.
+    /// Evaluates `NN(ij)`, or `NN(ji)` for `sign = −1`, into `scratch`.
     #[inline(always)]
-    fn evaluate<W: Wide>(&self, pairs: &Batch<W, D>, sign: f64, room: &mut Room) {
+    fn evaluate<W: SimdFloat>(&self, pairs: &Batch<W, D>, sign: f64, scratch: &mut Scratch) {
         for axis in 0..D {
-            room.input[axis] = (pairs.separation[axis] * (sign / self.units.length)).store();
-            room.input[D + axis] = (pairs.velocity[axis] * (sign / self.units.velocity)).store();
+            scratch.input[axis] = (pairs.separation[axis] * (sign / self.units.length)).store();
+            scratch.input[D + axis] = (pairs.velocity[axis] * (sign / self.units.velocity)).store();
         }
-        self.network.value(room);
+        self.network.value(scratch);
     }
 
     /// The factors of a pair's network evaluations: positive for `NN(ij)`, negative for `NN(ji)`.
@@ -87,8 +87,8 @@ impl<const D: usize> Constitutive<D> for NnSum<D> {
 }
 
 impl<const D: usize> PairLaw<D> for NnSum<D> {
-    type ByParameter<W: Wide> = [W; 0];
-    type Slope<W: Wide> = GeneralSlope<W, D, 0, MatrixRows>;
+    type ByParameter<W: SimdFloat> = [W; 0];
+    type Slope<W: SimdFloat> = GeneralSlope<W, D, 0, MatrixRows>;
 
     const HAS_NETWORK: bool = true;
 
@@ -98,31 +98,31 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> Vector<W, D> {
         let (window, _) = self.window.at(pairs.pair.r2);
         let mut force = Vector::zero();
         for &factor in self.ends() {
-            self.evaluate(pairs, factor.signum(), room);
+            self.evaluate(pairs, factor.signum(), scratch);
             for axis in 0..D {
-                force[axis] += W::load(&room.output[axis]) * (factor * self.units.force);
+                force[axis] += W::load(&scratch.output[axis]) * (factor * self.units.force);
             }
         }
         force * window
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> GeneralSlope<W, D, 0, MatrixRows> {
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> GeneralSlope<W, D, 0, MatrixRows> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let mut slope = GeneralSlope::zero();
         for &factor in self.ends() {
-            self.evaluate(pairs, factor.signum(), room);
-            self.network.jacobian(room);
+            self.evaluate(pairs, factor.signum(), scratch);
+            self.network.jacobian(scratch);
             let scale = factor * self.units.force;
             // The inputs have the sign of the factor, and so have the derivatives by them.
             let inner = window * (scale * factor.signum());
             for a in 0..D {
-                let row = &room.jacobian[2 * D * a..2 * D * (a + 1)];
-                let output = W::load(&room.output[a]);
+                let row = &scratch.jacobian[2 * D * a..2 * D * (a + 1)];
+                let output = W::load(&scratch.output[a]);
                 slope.by_separation[a] += pairs.separation * (output * by_r2 * scale);
                 for b in 0..D {
                     slope.by_separation[a][b] += W::load(&row[b]) * inner / self.units.length;
@@ -134,27 +134,27 @@ impl<const D: usize> PairLaw<D> for NnSum<D> {
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let mut cotangent = PairCotangent::zero();
         for &factor in self.ends() {
-            self.evaluate(pairs, factor.signum(), room);
+            self.evaluate(pairs, factor.signum(), scratch);
             let scale = factor * self.units.force;
             let mut along = W::of(0.0);
             for axis in 0..D {
-                along += W::load(&room.output[axis]) * force[axis];
-                room.output_cotangent[axis] = (force[axis] * window * scale).store();
+                along += W::load(&scratch.output[axis]) * force[axis];
+                scratch.output_cotangent[axis] = (force[axis] * window * scale).store();
             }
-            self.network.pullback(room);
+            self.network.pullback(scratch);
             cotangent.separation += pairs.separation * (along * by_r2 * scale);
             for axis in 0..D {
-                let by_r = W::load(&room.input_cotangent[axis]);
-                let by_v = W::load(&room.input_cotangent[D + axis]);
+                let by_r = W::load(&scratch.input_cotangent[axis]);
+                let by_v = W::load(&scratch.input_cotangent[D + axis]);
                 let sign = factor.signum();
                 cotangent.separation[axis] += by_r * (sign / self.units.length);
                 cotangent.velocity[axis] += by_v * (sign / self.units.velocity);

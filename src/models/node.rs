@@ -4,14 +4,14 @@
 
 use super::scales::Units;
 use super::{
-    Constitutive, ForceOutput, Form, Kept, Learned, MatrixRows, Medium, Model, PairShare,
-    Passed, Room, Scales, Slopes, Window,
+    Constitutive, ForceOutput, Form, TangentOptions, Learned, MatrixRows, Medium, Model, PairShare,
+    PullbackOutput, Scratch, Scales, ForceJacobian, Window,
 };
 use crate::error::{Error, Result};
 use crate::network::Network;
 use crate::packed::PackedAdjoint;
-use crate::pairs::Hood;
-use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
+use crate::pairs::Neighbourhood;
+use crate::scalar::{F64x8, SimdTask, WIDTH, SimdFloat, dispatch};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -81,40 +81,40 @@ impl<const D: usize> Node<D> {
 
     /// The features of the neighbour at `place` in the lists, for the chunk's `k`-th particle.
     #[inline(always)]
-    fn feature(&self, hood: Hood<'_>, k: usize, place: u32) -> Feature<D> {
-        let here = &hood.lines.double[hood.near.first + k];
-        let there = &hood.lines.double[hood.near.slot(place as usize)];
+    fn feature(&self, neighbourhood: Neighbourhood<'_>, k: usize, place: u32) -> Feature<D> {
+        let here = &neighbourhood.lines.double[neighbourhood.near.first + k];
+        let there = &neighbourhood.lines.double[neighbourhood.near.slot(place as usize)];
         let mut separation = Vector::<f64, D>::zero();
         let mut velocity = Vector::<f64, D>::zero();
         for axis in 0..D {
             separation[axis] = here.position[axis] - there.position[axis];
             velocity[axis] = here.velocity[axis] - there.velocity[axis];
         }
-        let separation = hood.space.minimum_image(separation);
+        let separation = neighbourhood.space.minimum_image(separation);
         Feature { separation, velocity, window: self.window.at(separation.norm_squared()) }
     }
 
     /// Finds the nearest neighbours of particle `k`, in order of distance, and writes them to row
-    /// `lane` of `room.nearest`.
+    /// `lane` of `scratch.nearest`.
     #[inline(always)]
-    fn find_nearest(&self, hood: Hood<'_>, (k, lane): (usize, usize), room: &mut Room) {
+    fn find_nearest(&self, neighbourhood: Neighbourhood<'_>, (k, lane): (usize, usize), scratch: &mut Scratch) {
         let support2 = self.medium.smoothing.support() * self.medium.smoothing.support();
-        let row = &mut room.nearest[lane * self.nearest..(lane + 1) * self.nearest];
+        let row = &mut scratch.nearest[lane * self.nearest..(lane + 1) * self.nearest];
         row.fill(MISSING);
-        if k >= hood.near.len() {
+        if k >= neighbourhood.near.len() {
             return;
         }
-        room.candidates.clear();
-        let batches = hood.near.range(k);
+        scratch.candidates.clear();
+        let batches = neighbourhood.near.range(k);
         for place in (batches.start * WIDTH) as u32..(batches.end * WIDTH) as u32 {
-            let r2 = self.feature(hood, k, place).separation.norm_squared();
+            let r2 = self.feature(neighbourhood, k, place).separation.norm_squared();
             if r2 < support2 {
-                room.candidates.push((r2, place));
+                scratch.candidates.push((r2, place));
             }
         }
         // Equal distances keep the order of the list.
-        room.candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        for (place, &(_, candidate)) in row.iter_mut().zip(&room.candidates) {
+        scratch.candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for (place, &(_, candidate)) in row.iter_mut().zip(&scratch.candidates) {
             *place = candidate;
         }
     }
@@ -131,24 +131,24 @@ impl<const D: usize> Node<D> {
 
     /// Evaluates the network for the chunk's particles `first .. first + 8`.
     #[inline(always)]
-    fn evaluate(&self, hood: Hood<'_>, first: usize, room: &mut Room) {
-        room.nearest.resize(WIDTH * self.nearest, MISSING);
+    fn evaluate(&self, neighbourhood: Neighbourhood<'_>, first: usize, scratch: &mut Scratch) {
+        scratch.nearest.resize(WIDTH * self.nearest, MISSING);
         for lane in 0..WIDTH {
-            self.find_nearest(hood, (first + lane, lane), room);
+            self.find_nearest(neighbourhood, (first + lane, lane), scratch);
             for rank in 0..self.nearest {
-                let place = room.nearest[lane * self.nearest + rank];
+                let place = scratch.nearest[lane * self.nearest + rank];
                 let [r, v] = match place {
                     MISSING => [Vector::zero(); 2],
-                    _ => self.inputs(&self.feature(hood, first + lane, place)),
+                    _ => self.inputs(&self.feature(neighbourhood, first + lane, place)),
                 };
-                let row = &mut room.input[2 * D * rank..];
+                let row = &mut scratch.input[2 * D * rank..];
                 for axis in 0..D {
                     row[axis].set_lane(lane, r[axis]);
                     row[D + axis].set_lane(lane, v[axis]);
                 }
             }
         }
-        self.network.value(room);
+        self.network.value(scratch);
     }
 
     /// Derivatives by `rᵢⱼ` and `vᵢⱼ` from derivatives by a neighbour's `2d` inputs.
@@ -163,7 +163,7 @@ impl<const D: usize> Node<D> {
 
     /// The two vectors of a rank in one lane, out of numbers in the order of the inputs.
     #[inline(always)]
-    fn pick(&self, from: &[Lanes], rank: usize, lane: usize) -> [Vector<f64, D>; 2] {
+    fn pick(&self, from: &[F64x8], rank: usize, lane: usize) -> [Vector<f64, D>; 2] {
         let mut picked = [Vector::zero(); 2];
         for axis in 0..D {
             picked[0][axis] = from[2 * D * rank + axis].lane(lane);
@@ -178,12 +178,12 @@ impl<const D: usize> Node<D> {
         &self,
         feature: &Feature<D>,
         (rank, lane): (usize, usize),
-        room: &Room,
-    ) -> [Lanes; D] {
+        scratch: &Scratch,
+    ) -> [F64x8; D] {
         let inputs = 2 * D * self.nearest;
-        let mut rows = [Lanes::ZERO; D];
+        let mut rows = [F64x8::ZERO; D];
         for (a, slopes) in rows.iter_mut().enumerate() {
-            let row = &room.jacobian[a * inputs..(a + 1) * inputs];
+            let row = &scratch.jacobian[a * inputs..(a + 1) * inputs];
             let [by_r, by_v] = self.through(feature, self.pick(row, rank, lane));
             for b in 0..D {
                 slopes.set_lane(b, by_r[b] * self.units.force);
@@ -207,34 +207,34 @@ impl<const D: usize> Model<D> for Node<D> {
         Box::new(self.clone())
     }
 
-    fn accelerations(&self, hood: Hood<'_>, room: &mut Room, out: ForceOutput<'_, D>) {
-        dispatch(ForcePass { model: self, hood, room, out });
+    fn accelerations(&self, neighbourhood: Neighbourhood<'_>, scratch: &mut Scratch, out: ForceOutput<'_, D>) {
+        dispatch(ForcePass { model: self, neighbourhood, scratch, out });
     }
 
     fn part_names(&self) -> &'static [&'static str] {
         &["network"]
     }
 
-    fn part(&self, _: usize, hood: Hood<'_>, room: &mut Room, out: &mut [Vector<f64, D>]) {
-        self.accelerations(hood, room, ForceOutput { accelerations: out, add: false });
+    fn part(&self, _: usize, neighbourhood: Neighbourhood<'_>, scratch: &mut Scratch, out: &mut [Vector<f64, D>]) {
+        self.accelerations(neighbourhood, scratch, ForceOutput { accelerations: out, add: false });
     }
 
     fn slopes(
         &self,
-        hood: Hood<'_>,
-        kept: Kept<'_>,
-        room: &mut Room,
-        into: &mut Slopes,
+        neighbourhood: Neighbourhood<'_>,
+        kept: TangentOptions<'_>,
+        scratch: &mut Scratch,
+        into: &mut ForceJacobian,
     ) {
-        dispatch(SlopePass { model: self, hood, kept, room, into });
+        dispatch(SlopePass { model: self, neighbourhood, kept, scratch, into });
     }
 
     fn has_force_network(&self) -> bool {
         true
     }
 
-    fn weight_shares(&self, hood: Hood<'_>, first: usize, room: &mut Room, out: &mut [f64]) {
-        dispatch(WeightPass { model: self, hood, first, room, out });
+    fn weight_shares(&self, neighbourhood: Neighbourhood<'_>, first: usize, scratch: &mut Scratch, out: &mut [f64]) {
+        dispatch(WeightPass { model: self, neighbourhood, first, scratch, out });
     }
 
     fn passes_to_neighbours(&self) -> bool {
@@ -243,34 +243,34 @@ impl<const D: usize> Model<D> for Node<D> {
 
     fn pull_back(
         &self,
-        hood: Hood<'_>,
+        neighbourhood: Neighbourhood<'_>,
         forces: &[PackedAdjoint],
-        room: &mut Room,
-        into: Passed<'_, D>,
+        scratch: &mut Scratch,
+        into: PullbackOutput<'_, D>,
     ) {
-        dispatch(PullPass { model: self, hood, forces, room, into });
+        dispatch(PullPass { model: self, neighbourhood, forces, scratch, into });
     }
 }
 
 struct ForcePass<'a, const D: usize> {
     model: &'a Node<D>,
-    hood: Hood<'a>,
-    room: &'a mut Room,
+    neighbourhood: Neighbourhood<'a>,
+    scratch: &'a mut Scratch,
     out: ForceOutput<'a, D>,
 }
 
-impl<const D: usize> Pass for ForcePass<'_, D> {
+impl<const D: usize> SimdTask for ForcePass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { model, hood, room, out } = self;
+    fn run<W: SimdFloat>(self) {
+        let Self { model, neighbourhood, scratch, out } = self;
         let ForceOutput { accelerations, add } = out;
         for (group, accelerations) in accelerations.chunks_mut(WIDTH).enumerate() {
-            model.evaluate(hood, group * WIDTH, room);
+            model.evaluate(neighbourhood, group * WIDTH, scratch);
             for (lane, acceleration) in accelerations.iter_mut().enumerate() {
                 for axis in 0..D {
-                    let force = room.output[axis].lane(lane) * model.units.force;
+                    let force = scratch.output[axis].lane(lane) * model.units.force;
                     acceleration[axis] = if add { acceleration[axis] + force } else { force };
                 }
             }
@@ -280,111 +280,111 @@ impl<const D: usize> Pass for ForcePass<'_, D> {
 
 struct SlopePass<'a, const D: usize> {
     model: &'a Node<D>,
-    hood: Hood<'a>,
-    kept: Kept<'a>,
-    room: &'a mut Room,
-    into: &'a mut Slopes,
+    neighbourhood: Neighbourhood<'a>,
+    kept: TangentOptions<'a>,
+    scratch: &'a mut Scratch,
+    into: &'a mut ForceJacobian,
 }
 
-impl<const D: usize> Pass for SlopePass<'_, D> {
+impl<const D: usize> SimdTask for SlopePass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { model, hood, kept, room, into } = self;
+    fn run<W: SimdFloat>(self) {
+        let Self { model, neighbourhood, kept, scratch, into } = self;
         into.clear(Form::Matrix);
         // The force does not depend on scalar parameters directly.
-        let mut direct = std::mem::take(&mut room.direct);
+        let mut direct = std::mem::take(&mut scratch.direct);
         direct.clear();
-        direct.resize(if kept.direct { D * (2 + model.scalars()) } else { 0 }, Lanes::ZERO);
-        for first in (0..hood.near.len()).step_by(WIDTH) {
-            model.evaluate(hood, first, room);
-            model.network.jacobian(room);
-            for lane in 0..(hood.near.len() - first).min(WIDTH) {
+        direct.resize(if kept.direct { D * (2 + model.scalars()) } else { 0 }, F64x8::ZERO);
+        for first in (0..neighbourhood.near.len()).step_by(WIDTH) {
+            model.evaluate(neighbourhood, first, scratch);
+            model.network.jacobian(scratch);
+            for lane in 0..(neighbourhood.near.len() - first).min(WIDTH) {
                 let k = first + lane;
                 for rank in 0..model.nearest {
-                    let place = room.nearest[lane * model.nearest + rank];
+                    let place = scratch.nearest[lane * model.nearest + rank];
                     if place == MISSING {
                         break;
                     }
-                    let feature = model.feature(hood, k, place);
-                    let rows = model.slope(&feature, (rank, lane), room);
-                    into.push_one(hood.near.slot(place as usize) as u32, &rows);
+                    let feature = model.feature(neighbourhood, k, place);
+                    let rows = model.slope(&feature, (rank, lane), scratch);
+                    into.push_one(neighbourhood.near.slot(place as usize) as u32, &rows);
                 }
                 into.close::<W, MatrixRows, D>(kept, &direct, |_| 0.0);
             }
         }
-        room.direct = direct;
+        scratch.direct = direct;
     }
 }
 
 struct WeightPass<'a, const D: usize> {
     model: &'a Node<D>,
-    hood: Hood<'a>,
+    neighbourhood: Neighbourhood<'a>,
     first: usize,
-    room: &'a mut Room,
+    scratch: &'a mut Scratch,
     out: &'a mut [f64],
 }
 
-impl<const D: usize> Pass for WeightPass<'_, D> {
+impl<const D: usize> SimdTask for WeightPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { model, hood, first, room, out } = self;
+    fn run<W: SimdFloat>(self) {
+        let Self { model, neighbourhood, first, scratch, out } = self;
         let count = model.network.weights.len();
         for (group, shares) in out.chunks_mut(WIDTH * D * count).enumerate() {
-            model.evaluate(hood, first + group * WIDTH, room);
+            model.evaluate(neighbourhood, first + group * WIDTH, scratch);
             for axis in 0..D {
-                model.network.weight_gradient(axis, room);
+                model.network.weight_gradient(axis, scratch);
                 for (lane, shares) in shares.chunks_exact_mut(D * count).enumerate() {
                     let shares = &mut shares[axis * count..(axis + 1) * count];
-                    for (share, slope) in shares.iter_mut().zip(&room.weights) {
+                    for (share, slope) in shares.iter_mut().zip(&scratch.weights) {
                         *share = slope.lane(lane) * model.units.force;
                     }
                 }
             }
         }
-        room.clear();
+        scratch.clear();
     }
 }
 
 struct PullPass<'a, const D: usize> {
     model: &'a Node<D>,
-    hood: Hood<'a>,
+    neighbourhood: Neighbourhood<'a>,
     forces: &'a [PackedAdjoint],
-    room: &'a mut Room,
-    into: Passed<'a, D>,
+    scratch: &'a mut Scratch,
+    into: PullbackOutput<'a, D>,
 }
 
-impl<const D: usize> Pass for PullPass<'_, D> {
+impl<const D: usize> SimdTask for PullPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
-        let Self { model, hood, forces, room, into } = self;
+    fn run<W: SimdFloat>(self) {
+        let Self { model, neighbourhood, forces, scratch, into } = self;
         into.neighbours.fill(PairShare::ZERO);
-        for first in (0..hood.near.len()).step_by(WIDTH) {
-            model.evaluate(hood, first, room);
-            let lanes = (hood.near.len() - first).min(WIDTH);
+        for first in (0..neighbourhood.near.len()).step_by(WIDTH) {
+            model.evaluate(neighbourhood, first, scratch);
+            let lanes = (neighbourhood.near.len() - first).min(WIDTH);
             for axis in 0..D {
-                let mut force = Lanes::ZERO;
+                let mut force = F64x8::ZERO;
                 for lane in 0..lanes {
-                    let slot = hood.near.first + first + lane;
+                    let slot = neighbourhood.near.first + first + lane;
                     force.set_lane(lane, forces[slot].force[axis] * model.units.force);
                 }
-                room.output_cotangent[axis] = force;
+                scratch.output_cotangent[axis] = force;
             }
-            model.network.pullback(room);
+            model.network.pullback(scratch);
             for lane in 0..lanes {
                 let k = first + lane;
                 for rank in 0..model.nearest {
-                    let place = room.nearest[lane * model.nearest + rank];
+                    let place = scratch.nearest[lane * model.nearest + rank];
                     if place == MISSING {
                         break;
                     }
-                    let feature = model.feature(hood, k, place);
-                    let by = model.pick(&room.input_cotangent, rank, lane);
+                    let feature = model.feature(neighbourhood, k, place);
+                    let by = model.pick(&scratch.input_cotangent, rank, lane);
                     let [by_r, by_v] = model.through(&feature, by);
                     into.position[k] += by_r;
                     into.velocity[k] += by_v;

@@ -2,10 +2,10 @@
 //!
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
-use super::{CentralSlope, Constitutive, FluidConstants, Medium, PairCotangent, PairLaw, Room};
+use super::{CentralSlope, Constitutive, FluidConstants, Medium, PairCotangent, PairLaw, Scratch};
 use crate::network::exp;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Pass, Scalar, Wide, dispatch};
+use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, dispatch};
 use crate::state;
 use crate::vector::Vector;
 
@@ -22,7 +22,7 @@ impl<const D: usize> Constitutive<D> for Physics<D> {
         "physics"
     }
 
-    fn has_stress(&self) -> bool {
+    fn has_pressure(&self) -> bool {
         true
     }
 
@@ -35,19 +35,19 @@ impl<const D: usize> Constitutive<D> for Physics<D> {
     }
 
     #[inline(always)]
-    fn stress(&self, rho: Lanes, _: &mut Room) -> Lanes {
-        tait_stress(&self.0, rho)
+    fn p_over_rho2(&self, rho: F64x8, _: &mut Scratch) -> F64x8 {
+        tait_p_over_rho2(&self.0, rho)
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        tait_stress_slope(&self.0, rho, room)
+    fn p_over_rho2_slope(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        tait_p_over_rho2_slope(&self.0, rho, scratch)
     }
 }
 
 impl<const D: usize> PairLaw<D> for Physics<D> {
-    type ByParameter<W: Wide> = [W; 3];
-    type Slope<W: Wide> = CentralSlope<W, D, [W; 3]>;
+    type ByParameter<W: SimdFloat> = [W; 3];
+    type Slope<W: SimdFloat> = CentralSlope<W, D, [W; 3]>;
 
     const IS_FLUID: bool = true;
     const IS_NUMBERS: bool = true;
@@ -58,21 +58,25 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> Vector<W, D> {
         self.0.force(pairs)
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; 3]> {
+    fn slope<W: SimdFloat>(
+        &self,
+        pairs: &Batch<W, D>,
+        _: &mut Scratch,
+    ) -> CentralSlope<W, D, [W; 3]> {
         self.0.slope(pairs)
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        _: &mut Room,
+        _: &mut Scratch,
     ) -> PairCotangent<W, D, [W; 3]> {
         self.0.pullback(pairs, force)
     }
@@ -80,43 +84,44 @@ impl<const D: usize> PairLaw<D> for Physics<D> {
 
 /// `P/ρ²` of Tait's fluid.
 #[inline(always)]
-pub(super) fn tait_stress<const D: usize>(medium: &Medium<D>, rho: Lanes) -> Lanes {
+pub(super) fn tait_p_over_rho2<const D: usize>(medium: &Medium<D>, rho: F64x8) -> F64x8 {
     let FluidConstants { c, gamma, p0, .. } = medium.fluid;
-    state::tait_stress(rho, c, gamma, p0)
+    state::tait_p_over_rho2(rho, c, gamma, p0)
 }
 
-/// `∂A/∂ρ`, and `∂A/∂(c, γ, p₀)` into `room.stress_by`. The derivatives are written by hand, with
+/// `∂A/∂ρ`, and `∂A/∂(c, γ, p₀)` into `scratch.p_over_rho2_by`. The derivatives are written by hand, with
 /// `ρ^γ = exp(γ ln ρ)` of eight particles at once.
-pub(super) fn tait_stress_slope<const D: usize>(
+pub(super) fn tait_p_over_rho2_slope<const D: usize>(
     medium: &Medium<D>,
-    rho: Lanes,
-    room: &mut Room,
-) -> Lanes {
+    rho: F64x8,
+    scratch: &mut Scratch,
+) -> F64x8 {
     let FluidConstants { c, gamma, p0, .. } = medium.fluid;
     let [by_density, by_c, by_gamma] = dispatch(TaitGradient { rho, c, gamma });
-    room.stress_by.fill(Lanes::ZERO);
-    if let [of_c, _, _, of_gamma, of_p0, ..] = &mut room.stress_by[..] {
+    scratch.p_over_rho2_by.fill(F64x8::ZERO);
+    if let [of_c, _, _, of_gamma, of_p0, ..] = &mut scratch.p_over_rho2_by[..] {
         (*of_c, *of_gamma) = (by_c, by_gamma);
-        *of_p0 = Lanes::of(1.0) / (rho * rho);
+        *of_p0 = F64x8::of(1.0) / (rho * rho);
     }
-    if p0 == 0.0 { by_density } else { by_density - Lanes::of(2.0 * p0) / (rho * rho * rho) }
+    if p0 == 0.0 { by_density } else { by_density - F64x8::of(2.0 * p0) / (rho * rho * rho) }
 }
 
 /// `∂A/∂(ρ, c, γ)` of eight particles.
 struct TaitGradient {
-    rho: Lanes,
+    rho: F64x8,
     c: f64,
     gamma: f64,
 }
 
-impl Pass for TaitGradient {
-    type Output = [Lanes; 3];
+impl SimdTask for TaitGradient {
+    type Output = [F64x8; 3];
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> [Lanes; 3] {
+    fn run<W: SimdFloat>(self) -> [F64x8; 3] {
         let (rho, logarithm) = (W::Double::load(&self.rho), W::Double::load(&self.rho.ln()));
         let power = exp(logarithm * self.gamma);
-        let gradient = state::tait_stress_gradient((rho, logarithm, power), self.c, self.gamma);
+        let gradient =
+            state::tait_p_over_rho2_gradient((rho, logarithm, power), self.c, self.gamma);
         [gradient[0].store(), gradient[1].store(), gradient[2].store()]
     }
 }

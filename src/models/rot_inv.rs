@@ -2,15 +2,15 @@
 //!
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
-use super::physics::{tait_stress, tait_stress_slope};
+use super::physics::{tait_p_over_rho2, tait_p_over_rho2_slope};
 use super::scales::Units;
 use super::{
-    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Room, Scales, Window,
+    CentralSlope, Constitutive, Learned, Medium, PairCotangent, PairLaw, Scratch, Scales, Window,
 };
 use crate::error::Result;
 use crate::network::Network;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{F64x8, SimdFloat};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
@@ -64,45 +64,45 @@ impl<const D: usize> RotInv<D> {
 
     /// The network's output.
     #[inline(always)]
-    fn evaluate<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> W {
+    fn evaluate<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> W {
         let u = &self.units;
-        let (a, b) = (pairs.stress_i / u.stress, pairs.stress_j / u.stress);
-        let stresses = if self.antisymmetric { [(a + b) * 0.5, (a - b) * (a - b)] } else { [a, b] };
-        room.input[0] = stresses[0].store();
-        room.input[1] = stresses[1].store();
-        room.input[2] = (pairs.pair.approach / (u.length * u.velocity)).store();
-        room.input[3] = (pairs.pair.r2.sqrt() / u.length).store();
-        self.network.value(room);
-        W::load(&room.output[0])
+        let (a, b) = (pairs.p_over_rho2_i / u.p_over_rho2, pairs.p_over_rho2_j / u.p_over_rho2);
+        let inputs = if self.antisymmetric { [(a + b) * 0.5, (a - b) * (a - b)] } else { [a, b] };
+        scratch.input[0] = inputs[0].store();
+        scratch.input[1] = inputs[1].store();
+        scratch.input[2] = (pairs.pair.v_dot_r / (u.length * u.velocity)).store();
+        scratch.input[3] = (pairs.pair.r2.sqrt() / u.length).store();
+        self.network.value(scratch);
+        W::load(&scratch.output[0])
     }
 
     /// `(s, slope)` from the derivative of `s` by the network's inputs, `by_input`, and by the
     /// window, `by_window`.
     #[inline(always)]
-    fn gather<W: Wide>(
+    fn gather<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         value: W,
         by_window: W,
-        by_input: &[Lanes],
+        by_input: &[F64x8],
     ) -> CentralSlope<W, D> {
         let u = &self.units;
         let by = |input: usize| W::load(&by_input[input]);
-        let by_approach = by(2) / (u.length * u.velocity);
-        let (mut by_i, mut by_j) = (by(0) / u.stress, by(1) / u.stress);
+        let by_v_dot_r = by(2) / (u.length * u.velocity);
+        let (mut by_i, mut by_j) = (by(0) / u.p_over_rho2, by(1) / u.p_over_rho2);
         if self.antisymmetric {
             let mean = by_i * 0.5;
-            let difference = by_j * (pairs.stress_i - pairs.stress_j) * (2.0 / u.stress);
+            let difference = by_j * (pairs.p_over_rho2_i - pairs.p_over_rho2_j) * (2.0 / u.p_over_rho2);
             (by_i, by_j) = (mean + difference, mean - difference);
         }
-        let mut by_separation = pairs.separation * by_window + pairs.velocity * by_approach;
+        let mut by_separation = pairs.separation * by_window + pairs.velocity * by_v_dot_r;
         by_separation += pairs.direction() * (by(3) / u.length);
         CentralSlope {
             separation: pairs.separation,
             value,
             by_separation,
-            by_velocity: pairs.separation * by_approach,
-            by_stress: [by_i, by_j],
+            by_velocity: pairs.separation * by_v_dot_r,
+            by_p_over_rho2: [by_i, by_j],
             by_density: W::of(0.0),
             by_parameter: [],
         }
@@ -110,7 +110,7 @@ impl<const D: usize> RotInv<D> {
 }
 
 impl<const D: usize> Constitutive<D> for RotInv<D> {
-    fn has_stress(&self) -> bool {
+    fn has_pressure(&self) -> bool {
         true
     }
 
@@ -122,19 +122,19 @@ impl<const D: usize> Constitutive<D> for RotInv<D> {
     }
 
     #[inline(always)]
-    fn stress(&self, rho: Lanes, _: &mut Room) -> Lanes {
-        tait_stress(&self.medium, rho)
+    fn p_over_rho2(&self, rho: F64x8, _: &mut Scratch) -> F64x8 {
+        tait_p_over_rho2(&self.medium, rho)
     }
 
     #[inline(always)]
-    fn stress_slope(&self, rho: Lanes, room: &mut Room) -> Lanes {
-        tait_stress_slope(&self.medium, rho, room)
+    fn p_over_rho2_slope(&self, rho: F64x8, scratch: &mut Scratch) -> F64x8 {
+        tait_p_over_rho2_slope(&self.medium, rho, scratch)
     }
 }
 
 impl<const D: usize> PairLaw<D> for RotInv<D> {
-    type ByParameter<W: Wide> = [W; 0];
-    type Slope<W: Wide> = CentralSlope<W, D>;
+    type ByParameter<W: SimdFloat> = [W; 0];
+    type Slope<W: SimdFloat> = CentralSlope<W, D>;
 
     const HAS_NETWORK: bool = true;
 
@@ -144,44 +144,44 @@ impl<const D: usize> PairLaw<D> for RotInv<D> {
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> Vector<W, D> {
         let (window, _) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
-        pairs.separation * (self.evaluate(pairs, room) * window * scale)
+        pairs.separation * (self.evaluate(pairs, scratch) * window * scale)
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, room: &mut Room) -> CentralSlope<W, D> {
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, scratch: &mut Scratch) -> CentralSlope<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
-        let value = self.evaluate(pairs, room) * scale;
-        self.network.jacobian(room);
+        let value = self.evaluate(pairs, scratch) * scale;
+        self.network.jacobian(scratch);
         let factor = window * scale;
-        for slope in &mut room.jacobian {
+        for slope in &mut scratch.jacobian {
             *slope = (W::load(slope) * factor).store();
         }
-        self.gather(pairs, value * window, value * by_r2, &room.jacobian)
+        self.gather(pairs, value * window, value * by_r2, &scratch.jacobian)
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D> {
         let (window, by_r2) = self.window.at(pairs.pair.r2);
         let scale = self.units.force / self.units.length;
-        let value = self.evaluate(pairs, room) * scale;
+        let value = self.evaluate(pairs, scratch) * scale;
         let along = force.dot(pairs.separation);
-        room.output_cotangent[0] = (along * window * scale).store();
-        self.network.pullback(room);
+        scratch.output_cotangent[0] = (along * window * scale).store();
+        self.network.pullback(scratch);
         // The derivatives by the inputs already include the factor `along`.
-        let by = self.gather(pairs, value * window, value * by_r2 * along, &room.input_cotangent);
+        let by = self.gather(pairs, value * window, value * by_r2 * along, &scratch.input_cotangent);
         PairCotangent {
             separation: force * by.value + by.by_separation,
             velocity: by.by_velocity,
-            stress: by.by_stress,
+            p_over_rho2: by.by_p_over_rho2,
             ..PairCotangent::zero()
         }
     }

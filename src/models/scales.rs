@@ -30,7 +30,7 @@ pub(super) struct Units {
     /// Of `ρ − 1`.
     pub(super) compression: f64,
     /// Of `A`: the pressure at a typical compression, `c² (ρ − 1)`.
-    pub(super) stress: f64,
+    pub(super) p_over_rho2: f64,
     /// Of a pair's acceleration: the scale of `A` times `m |W'(h)|`.
     pub(super) force: f64,
 }
@@ -38,14 +38,14 @@ pub(super) struct Units {
 impl Scales {
     pub(super) fn units<const D: usize>(&self, medium: &Medium<D>) -> Units {
         let (c, h) = (medium.fluid.c, medium.smoothing.h);
-        let stress = c * c * self.compression;
-        let pull = medium.mass * (medium.smoothing.gradient(h) * h).abs();
+        let p_over_rho2 = c * c * self.compression;
+        let pull = medium.mass * (medium.smoothing.dw_over_r(h) * h).abs();
         Units {
             length: h,
             velocity: self.velocity,
             compression: self.compression,
-            stress,
-            force: stress * pull,
+            p_over_rho2,
+            force: p_over_rho2 * pull,
         }
     }
 }

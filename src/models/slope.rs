@@ -1,10 +1,10 @@
 //! The linearised pair force: applied to columns of parameters forwards, and transposed backwards.
 
-use super::Strength;
+use super::PairCoefficient;
 use super::tangent::{CentralRows, EightPairs, GeneralRows, PairRows};
 use crate::packed::PackedSensitivity;
 use crate::pairs::Batch;
-use crate::scalar::{Lanes, WIDTH, Wide, transposed};
+use crate::scalar::{F64x8, SimdFloat, WIDTH, transposed};
 use crate::vector::Vector;
 use std::marker::PhantomData;
 
@@ -14,7 +14,7 @@ pub trait Slots<W>: Copy + AsRef<[W]> + AsMut<[W]> {
     fn zero() -> Self;
 }
 
-impl<W: Wide, const P: usize> Slots<W> for [W; P] {
+impl<W: SimdFloat, const P: usize> Slots<W> for [W; P] {
     #[inline(always)]
     fn zero() -> Self {
         [W::of(0.0); P]
@@ -22,7 +22,7 @@ impl<W: Wide, const P: usize> Slots<W> for [W; P] {
 }
 
 /// The derivative of the forces of eight pairs by the states of their particles and by parameters.
-pub trait Slope<W: Wide, const D: usize> {
+pub trait Slope<W: SimdFloat, const D: usize> {
     /// How the derivative of each pair is stored.
     type Rows: PairRows<D>;
     /// One number for each of the law's first parameters.
@@ -38,7 +38,7 @@ pub trait Slope<W: Wide, const D: usize> {
     }
 
     /// Adds `∂f` by each of the law's first parameters to sums, `[parameter][axis]`.
-    fn add_by_parameter(&self, sums: &mut [Lanes]);
+    fn add_by_parameter(&self, sums: &mut [F64x8]);
 
     /// The transpose: from `∂L/∂fᵢⱼ` of eight pairs to derivatives by state and parameters.
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, Self::ByParameter>;
@@ -54,15 +54,15 @@ pub struct Change<W, const D: usize> {
     /// `δρ`.
     pub density: W,
     /// `δA`.
-    pub stress: W,
+    pub p_over_rho2: W,
 }
 
-impl<W: Wide, const D: usize> Change<W, D> {
+impl<W: SimdFloat, const D: usize> Change<W, D> {
     /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
         let (zero, none) = (W::of(0.0), Vector::zero());
-        Self { position: none, velocity: none, density: zero, stress: zero }
+        Self { position: none, velocity: none, density: zero, p_over_rho2: zero }
     }
 
     /// Loads them from memory.
@@ -72,7 +72,7 @@ impl<W: Wide, const D: usize> Change<W, D> {
             position: load_vector(&memory.position),
             velocity: load_vector(&memory.velocity),
             density: W::load(&memory.density),
-            stress: W::load(&memory.stress),
+            p_over_rho2: W::load(&memory.p_over_rho2),
         }
     }
 }
@@ -85,14 +85,14 @@ pub struct PairCotangent<W, const D: usize, P = [W; 0]> {
     /// By `vᵢⱼ`.
     pub velocity: Vector<W, D>,
     /// By `Aᵢ` and `Aⱼ`.
-    pub stress: [W; 2],
+    pub p_over_rho2: [W; 2],
     /// By `ρᵢ` and `ρⱼ`, at fixed `A`.
     pub density: [W; 2],
     /// By the law's first parameters, at fixed `A`.
     pub parameters: P,
 }
 
-impl<W: Wide, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
+impl<W: SimdFloat, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
     /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
@@ -100,7 +100,7 @@ impl<W: Wide, P: Slots<W>, const D: usize> PairCotangent<W, D, P> {
         Self {
             separation: Vector::zero(),
             velocity: Vector::zero(),
-            stress: [zero; 2],
+            p_over_rho2: [zero; 2],
             density: [zero; 2],
             parameters: P::zero(),
         }
@@ -120,24 +120,24 @@ pub struct CentralSlope<W, const D: usize, P = [W; 0]> {
     /// `∂s/∂vᵢⱼ`.
     pub by_velocity: Vector<W, D>,
     /// `∂s/∂Aᵢ`, `∂s/∂Aⱼ`.
-    pub by_stress: [W; 2],
+    pub by_p_over_rho2: [W; 2],
     /// `∂s/∂ρᵢ = ∂s/∂ρⱼ` at fixed `A`.
     pub by_density: W,
     /// `∂s` by the law's first parameters, at fixed `A`.
     pub by_parameter: P,
 }
 
-impl<W: Wide, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
+impl<W: SimdFloat, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
     /// From the gradient of a coefficient that depends on `r²` and `v·r`.
     #[inline(always)]
-    pub fn new(pairs: &Batch<W, D>, s: &Strength<W, P>, by_stress: [W; 2]) -> Self {
+    pub fn new(pairs: &Batch<W, D>, s: &PairCoefficient<W, P>, by_p_over_rho2: [W; 2]) -> Self {
         let (r, v) = (pairs.separation, pairs.velocity);
         Self {
             separation: r,
             value: s.value,
-            by_separation: r * s.by_separation + v * s.by_approach,
-            by_velocity: r * s.by_approach,
-            by_stress,
+            by_separation: r * s.by_separation + v * s.by_v_dot_r,
+            by_velocity: r * s.by_v_dot_r,
+            by_p_over_rho2,
             by_density: s.by_density,
             by_parameter: s.by_parameter,
         }
@@ -146,7 +146,7 @@ impl<W: Wide, P: Slots<W>, const D: usize> CentralSlope<W, D, P> {
 
 /// Adds every component to sums in memory.
 #[inline(always)]
-pub(super) fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<W, D>) {
+pub(super) fn add_lanes<W: SimdFloat, const D: usize>(sums: &mut [F64x8], by: Vector<W, D>) {
     for (axis, sum) in sums.iter_mut().enumerate() {
         *sum = (W::Double::load(sum) + by[axis].widen()).store();
     }
@@ -154,7 +154,7 @@ pub(super) fn add_lanes<W: Wide, const D: usize>(sums: &mut [Lanes], by: Vector<
 
 /// Loads every component.
 #[inline(always)]
-pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) -> Vector<W, D> {
+pub(super) fn load_vector<W: SimdFloat, const D: usize>(stored: &Vector<F64x8, D>) -> Vector<W, D> {
     let mut vector = Vector::zero();
     for axis in 0..D {
         vector[axis] = W::load(&stored[axis]);
@@ -164,30 +164,32 @@ pub(super) fn load_vector<W: Wide, const D: usize>(stored: &Vector<Lanes, D>) ->
 
 /// Stores every component.
 #[inline(always)]
-pub(super) fn store_vector<W: Wide, const D: usize>(vector: &Vector<W, D>) -> Vector<Lanes, D> {
-    let mut stored = Vector([Lanes::ZERO; D]);
+pub(super) fn store_vector<W: SimdFloat, const D: usize>(
+    vector: &Vector<W, D>,
+) -> Vector<F64x8, D> {
+    let mut stored = Vector([F64x8::ZERO; D]);
     for axis in 0..D {
         stored[axis] = vector[axis].store();
     }
     stored
 }
 
-impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P> {
+impl<W: SimdFloat, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P> {
     type Rows = CentralRows;
     type ByParameter = P;
 
     #[inline(always)]
     fn write(&self, pairs: &mut EightPairs) {
-        let (mut by_state, mut others) = ([Lanes::ZERO; WIDTH], [Lanes::ZERO; WIDTH]);
+        let (mut by_state, mut others) = ([F64x8::ZERO; WIDTH], [F64x8::ZERO; WIDTH]);
         for axis in 0..D {
             by_state[axis] = self.by_separation[axis].store();
             by_state[D + axis] = self.by_velocity[axis].store();
             others[axis] = self.separation[axis].store();
         }
         by_state[2 * D] = self.by_density.store();
-        by_state[2 * D + 1] = self.by_stress[0].store();
+        by_state[2 * D + 1] = self.by_p_over_rho2[0].store();
         others[D] = self.value.store();
-        others[D + 1] = self.by_stress[1].store();
+        others[D + 1] = self.by_p_over_rho2[1].store();
         let (by_state, others) = (transposed::<W>(&by_state), transposed::<W>(&others));
         for (pair, (by_state, others)) in pairs.iter_mut().zip(by_state.iter().zip(others)) {
             (pair[0], pair[1]) = (by_state.store(), others.store());
@@ -195,7 +197,7 @@ impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P>
     }
 
     #[inline(always)]
-    fn add_by_parameter(&self, sums: &mut [Lanes]) {
+    fn add_by_parameter(&self, sums: &mut [F64x8]) {
         for (sums, by) in sums.chunks_exact_mut(D).zip(self.by_parameter.as_ref()) {
             add_lanes(sums, self.separation * *by);
         }
@@ -204,7 +206,7 @@ impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P>
     #[inline(always)]
     fn pullback(&self, force: Vector<W, D>) -> PairCotangent<W, D, P> {
         let along = force.dot(self.separation);
-        let [by_i, by_j] = self.by_stress;
+        let [by_i, by_j] = self.by_p_over_rho2;
         let mut parameters = self.by_parameter;
         for by in parameters.as_mut() {
             *by = *by * along;
@@ -212,7 +214,7 @@ impl<W: Wide, P: Slots<W>, const D: usize> Slope<W, D> for CentralSlope<W, D, P>
         PairCotangent {
             separation: force * self.value + self.by_separation * along,
             velocity: self.by_velocity * along,
-            stress: [by_i * along, by_j * along],
+            p_over_rho2: [by_i * along, by_j * along],
             density: [self.by_density * along; 2],
             parameters,
         }
@@ -231,13 +233,13 @@ pub struct GeneralSlope<W, const D: usize, const P: usize = 0, R = GeneralRows> 
     /// `∂f/∂ρᵢ` and `∂f/∂ρⱼ`, at fixed `A`.
     pub by_density: [Vector<W, D>; 2],
     /// `∂f/∂Aᵢ` and `∂f/∂Aⱼ`.
-    pub by_stress: [Vector<W, D>; 2],
+    pub by_p_over_rho2: [Vector<W, D>; 2],
     /// `∂f` by the law's first parameters.
     pub by_parameter: [Vector<W, D>; P],
     rows: PhantomData<R>,
 }
 
-impl<W: Wide, R, const D: usize, const P: usize> GeneralSlope<W, D, P, R> {
+impl<W: SimdFloat, R, const D: usize, const P: usize> GeneralSlope<W, D, P, R> {
     /// Zero.
     #[inline(always)]
     pub fn zero() -> Self {
@@ -246,14 +248,14 @@ impl<W: Wide, R, const D: usize, const P: usize> GeneralSlope<W, D, P, R> {
             by_separation: [none; D],
             by_velocity: [none; D],
             by_density: [none; 2],
-            by_stress: [none; 2],
+            by_p_over_rho2: [none; 2],
             by_parameter: [none; P],
             rows: PhantomData,
         }
     }
 }
 
-impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
+impl<W: SimdFloat, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
     for GeneralSlope<W, D, P, R>
 {
     type Rows = R;
@@ -262,13 +264,13 @@ impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
     #[inline(always)]
     fn write(&self, pairs: &mut EightPairs) {
         for a in 0..D {
-            let mut columns = [Lanes::ZERO; WIDTH];
+            let mut columns = [F64x8::ZERO; WIDTH];
             for b in 0..D {
                 columns[b] = self.by_separation[a][b].store();
                 columns[D + b] = self.by_velocity[a][b].store();
             }
             columns[2 * D] = self.by_density[1][a].store();
-            columns[2 * D + 1] = self.by_stress[1][a].store();
+            columns[2 * D + 1] = self.by_p_over_rho2[1][a].store();
             let rows = transposed::<W>(&columns);
             for (pair, row) in pairs.iter_mut().zip(rows) {
                 pair[a] = row.store();
@@ -278,11 +280,11 @@ impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
 
     #[inline(always)]
     fn by_own_scalars(&self) -> [Vector<W, D>; 2] {
-        [self.by_density[0], self.by_stress[0]]
+        [self.by_density[0], self.by_p_over_rho2[0]]
     }
 
     #[inline(always)]
-    fn add_by_parameter(&self, sums: &mut [Lanes]) {
+    fn add_by_parameter(&self, sums: &mut [F64x8]) {
         for (sums, by) in sums.chunks_exact_mut(D).zip(self.by_parameter) {
             add_lanes(sums, by);
         }
@@ -297,7 +299,7 @@ impl<W: Wide, R: PairRows<D>, const D: usize, const P: usize> Slope<W, D>
         }
         for end in 0..2 {
             cotangent.density[end] = self.by_density[end].dot(force);
-            cotangent.stress[end] = self.by_stress[end].dot(force);
+            cotangent.p_over_rho2[end] = self.by_p_over_rho2[end].dot(force);
         }
         for (sum, by) in cotangent.parameters.iter_mut().zip(&self.by_parameter) {
             *sum = by.dot(force);

@@ -5,10 +5,10 @@
 //! the derivative by particle `i`'s own state, is one [`OwnSlope`] per particle. The off-diagonal
 //! blocks, the derivatives by a neighbour's state, are stored for each pair within `2h`.
 
-use super::{Change, Kept, load_vector, store_vector};
+use super::{Change, TangentOptions, load_vector, store_vector};
 use crate::packed::PackedSensitivity;
 use crate::pairs::Eight;
-use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
+use crate::scalar::{F64x8, SimdFloat, SimdTask, WIDTH, dispatch};
 use crate::sensitivity::Coupling;
 use crate::vector::Vector;
 use std::fmt::Debug;
@@ -17,7 +17,7 @@ use std::fmt::Debug;
 pub(super) const MOST_ROWS: usize = 3;
 
 /// Eight pairs one after another, each stored in its first [`PairRows::ROWS`] rows.
-pub type EightPairs = [[Lanes; MOST_ROWS]; WIDTH];
+pub type EightPairs = [[F64x8; MOST_ROWS]; WIDTH];
 
 /// The storage of one pair's derivative, in rows of eight numbers.
 pub trait PairRows<const D: usize>: Debug {
@@ -27,15 +27,19 @@ pub trait PairRows<const D: usize>: Debug {
     const ROWS: usize;
 
     /// Adds a pair's derivative by the particle's own state to the diagonal block.
-    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>);
+    fn add_own<W: SimdFloat>(rows: &[F64x8], own: &mut OwnSlope<W, D>);
 
     /// Adds the neighbour's part of `δfᵢⱼ`, for eight parameters at once.
-    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>);
+    fn add_other<W: SimdFloat>(
+        rows: &[F64x8],
+        other: &PackedSensitivity<D>,
+        sum: &mut Vector<W, D>,
+    );
 
     /// Drops a neighbour's own sensitivities. Two parts remain: of `δρⱼ` the part due to particle
     /// `i`, `pull(r) rᵢⱼ·δrᵢ`; and of `δAⱼ` that part and the direct dependence on the parameters.
-    fn leave_alone<W: Wide>(
-        rows: &mut [Lanes],
+    fn leave_alone<W: SimdFloat>(
+        rows: &mut [F64x8],
         by_density: f64,
         pull: impl Fn(f64) -> f64,
         own: &mut OwnSlope<W, D>,
@@ -69,7 +73,7 @@ pub struct OwnSlope<W, const D: usize> {
     value: f64,
 }
 
-impl<W: Wide, const D: usize> OwnSlope<W, D> {
+impl<W: SimdFloat, const D: usize> OwnSlope<W, D> {
     /// Zero.
     #[inline(always)]
     pub(super) fn zero() -> Self {
@@ -81,19 +85,19 @@ impl<W: Wide, const D: usize> OwnSlope<W, D> {
     #[inline(always)]
     fn complete(&mut self) {
         for axis in 0..D {
-            self.by_state[axis] += W::load(&Lanes::unit(axis)) * self.value;
+            self.by_state[axis] += W::load(&F64x8::unit(axis)) * self.value;
         }
     }
 }
 
-impl<const D: usize> OwnSlope<Lanes, D> {
+impl<const D: usize> OwnSlope<F64x8, D> {
     /// Adds the part of `δaᵢ` due to particle `i`'s own changes, for eight parameters at once.
     #[inline(always)]
-    fn add_to<W: Wide>(&self, own: &Change<W, D>, sum: &mut Vector<W, D>) {
+    fn add_to<W: SimdFloat>(&self, own: &Change<W, D>, sum: &mut Vector<W, D>) {
         for axis in 0..D {
             let by = &self.by_state[axis];
             let mut part = own.density * by.lane(of_density(D));
-            part += own.stress * by.lane(of_density(D) + 1);
+            part += own.p_over_rho2 * by.lane(of_density(D) + 1);
             for b in 0..D {
                 part += own.position[b] * by.lane(b);
                 part += own.velocity[b] * by.lane(D + b);
@@ -108,7 +112,7 @@ impl<const D: usize> PairRows<D> for CentralRows {
     const ROWS: usize = 2;
 
     #[inline(always)]
-    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
+    fn add_own<W: SimdFloat>(rows: &[F64x8], own: &mut OwnSlope<W, D>) {
         let [by_state, others] = rows else { return };
         let state = W::load(by_state);
         for axis in 0..D {
@@ -118,10 +122,14 @@ impl<const D: usize> PairRows<D> for CentralRows {
     }
 
     #[inline(always)]
-    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+    fn add_other<W: SimdFloat>(
+        rows: &[F64x8],
+        other: &PackedSensitivity<D>,
+        sum: &mut Vector<W, D>,
+    ) {
         let [by_state, others] = rows else { return };
         let mut ds = W::load(&other.density) * by_state.lane(of_density(D));
-        ds += W::load(&other.stress) * others.lane(D + 1);
+        ds += W::load(&other.p_over_rho2) * others.lane(D + 1);
         for axis in 0..D {
             ds -= W::load(&other.position[axis]) * by_state.lane(axis);
             ds -= W::load(&other.velocity[axis]) * by_state.lane(D + axis);
@@ -133,26 +141,27 @@ impl<const D: usize> PairRows<D> for CentralRows {
     }
 
     #[inline(always)]
-    fn leave_alone<W: Wide>(
-        rows: &mut [Lanes],
+    fn leave_alone<W: SimdFloat>(
+        rows: &mut [F64x8],
         by_density: f64,
         pull: impl Fn(f64) -> f64,
         own: &mut OwnSlope<W, D>,
     ) {
         let [by_state, others] = rows else { return };
-        let mut separation = Lanes::ZERO;
+        let mut separation = F64x8::ZERO;
         let mut square = 0.0;
         for axis in 0..D {
             separation.set_lane(axis, others.lane(axis));
             square += others.lane(axis) * others.lane(axis);
         }
-        let by_stress = others.lane(D + 1);
-        let given = (by_state.lane(of_density(D)) + by_stress * by_density) * pull(square.sqrt());
+        let by_p_over_rho2 = others.lane(D + 1);
+        let given =
+            (by_state.lane(of_density(D)) + by_p_over_rho2 * by_density) * pull(square.sqrt());
         for axis in 0..D {
             own.by_state[axis] += W::load(&separation) * (given * others.lane(axis));
         }
-        *by_state = Lanes::ZERO;
-        by_state.set_lane(of_density(D), -(by_stress * by_density));
+        *by_state = F64x8::ZERO;
+        by_state.set_lane(of_density(D), -(by_p_over_rho2 * by_density));
         others.set_lane(D, 0.0);
     }
 }
@@ -162,14 +171,18 @@ impl<const D: usize> PairRows<D> for MatrixRows {
     const ROWS: usize = D;
 
     #[inline(always)]
-    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
+    fn add_own<W: SimdFloat>(rows: &[F64x8], own: &mut OwnSlope<W, D>) {
         for (axis, row) in rows.iter().enumerate().take(D) {
             own.by_state[axis] += W::load(row);
         }
     }
 
     #[inline(always)]
-    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+    fn add_other<W: SimdFloat>(
+        rows: &[F64x8],
+        other: &PackedSensitivity<D>,
+        sum: &mut Vector<W, D>,
+    ) {
         for b in 0..D {
             let (position, velocity) = (W::load(&other.position[b]), W::load(&other.velocity[b]));
             for axis in 0..D {
@@ -180,13 +193,13 @@ impl<const D: usize> PairRows<D> for MatrixRows {
     }
 
     #[inline(always)]
-    fn leave_alone<W: Wide>(
-        rows: &mut [Lanes],
+    fn leave_alone<W: SimdFloat>(
+        rows: &mut [F64x8],
         _: f64,
         _: impl Fn(f64) -> f64,
         _: &mut OwnSlope<W, D>,
     ) {
-        rows.fill(Lanes::ZERO);
+        rows.fill(F64x8::ZERO);
     }
 }
 
@@ -197,8 +210,8 @@ impl<const D: usize> PairRows<D> for GeneralRows {
     /// By `rᵢ` and `vᵢ`. The derivatives by `ρᵢ` and `Aᵢ` come from
     /// [`Slope::by_own_scalars`](super::Slope::by_own_scalars).
     #[inline(always)]
-    fn add_own<W: Wide>(rows: &[Lanes], own: &mut OwnSlope<W, D>) {
-        let mut state = Lanes::ZERO;
+    fn add_own<W: SimdFloat>(rows: &[F64x8], own: &mut OwnSlope<W, D>) {
+        let mut state = F64x8::ZERO;
         (0..2 * D).for_each(|lane| state.set_lane(lane, 1.0));
         let state = W::load(&state);
         for (axis, row) in rows.iter().enumerate().take(D) {
@@ -207,29 +220,33 @@ impl<const D: usize> PairRows<D> for GeneralRows {
     }
 
     #[inline(always)]
-    fn add_other<W: Wide>(rows: &[Lanes], other: &PackedSensitivity<D>, sum: &mut Vector<W, D>) {
+    fn add_other<W: SimdFloat>(
+        rows: &[F64x8],
+        other: &PackedSensitivity<D>,
+        sum: &mut Vector<W, D>,
+    ) {
         MatrixRows::add_other(rows, other, sum);
-        let (density, stress) = (W::load(&other.density), W::load(&other.stress));
+        let (density, p_over_rho2) = (W::load(&other.density), W::load(&other.p_over_rho2));
         for axis in 0..D {
             sum[axis] += density * rows[axis].lane(of_density(D));
-            sum[axis] += stress * rows[axis].lane(of_density(D) + 1);
+            sum[axis] += p_over_rho2 * rows[axis].lane(of_density(D) + 1);
         }
     }
 
     /// Of the neighbour only the direct dependence of `Aⱼ` on the parameters remains,
     /// `δAⱼ − A'ⱼ δρⱼ`.
     #[inline(always)]
-    fn leave_alone<W: Wide>(
-        rows: &mut [Lanes],
+    fn leave_alone<W: SimdFloat>(
+        rows: &mut [F64x8],
         by_density: f64,
         _: impl Fn(f64) -> f64,
         _: &mut OwnSlope<W, D>,
     ) {
         for row in rows {
-            let by_stress = row.lane(of_density(D) + 1);
-            *row = Lanes::ZERO;
-            row.set_lane(of_density(D), -(by_stress * by_density));
-            row.set_lane(of_density(D) + 1, by_stress);
+            let by_p_over_rho2 = row.lane(of_density(D) + 1);
+            *row = F64x8::ZERO;
+            row.set_lane(of_density(D), -(by_p_over_rho2 * by_density));
+            row.set_lane(of_density(D) + 1, by_p_over_rho2);
         }
     }
 }
@@ -248,10 +265,10 @@ pub enum Form {
 
 /// The linearised forces of some particles, the same for every block of parameters.
 #[derive(Clone, Debug, Default)]
-pub struct Slopes {
+pub struct ForceJacobian {
     form: Form,
     /// The [`OwnSlope`] of each particle, row by row.
-    own: Vec<Lanes>,
+    own: Vec<F64x8>,
     /// `∂a` of each particle by the law's parameters, at fixed state: `[parameter][axis]`.
     direct: Vec<f64>,
     /// Index of each particle's first pair, and the total at the end.
@@ -259,15 +276,15 @@ pub struct Slopes {
     /// The neighbour's slot of each pair.
     slots: Vec<u32>,
     /// The rows of each pair.
-    rows: Vec<Lanes>,
+    rows: Vec<F64x8>,
     /// Number of pairs; elements from here on are unused.
     filled: usize,
 }
 
-impl Slopes {
+impl ForceJacobian {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        size_of::<Lanes>() * (self.own.capacity() + self.rows.capacity())
+        size_of::<F64x8>() * (self.own.capacity() + self.rows.capacity())
             + 8 * self.direct.capacity()
             + 4 * (self.start.capacity() + self.slots.capacity())
     }
@@ -290,7 +307,7 @@ impl Slopes {
         {
             let pairs = (self.filled + WIDTH) * 9 / 8;
             self.slots.resize(pairs, 0);
-            self.rows.resize(pairs * rows, Lanes::ZERO);
+            self.rows.resize(pairs * rows, F64x8::ZERO);
         }
     }
 
@@ -299,7 +316,7 @@ impl Slopes {
     pub(super) fn push<R: PairRows<D>, const D: usize>(
         &mut self,
         others: Eight<'_, u32>,
-        nobody: usize,
+        sentinel: usize,
         pairs: &EightPairs,
     ) {
         self.make_room(R::ROWS);
@@ -309,12 +326,12 @@ impl Slopes {
             rows.copy_from_slice(&pair[..R::ROWS]);
         }
         // The next call overwrites the sentinels.
-        self.filled += others.count(nobody);
+        self.filled += others.count(sentinel);
     }
 
     /// Adds a pair to the current particle.
     #[inline(always)]
-    pub(super) fn push_one(&mut self, slot: u32, rows: &[Lanes]) {
+    pub(super) fn push_one(&mut self, slot: u32, rows: &[F64x8]) {
         self.make_room(rows.len());
         self.slots[self.filled] = slot;
         self.rows[self.filled * rows.len()..][..rows.len()].copy_from_slice(rows);
@@ -325,10 +342,10 @@ impl Slopes {
     /// derivatives that are not stored in rows, `[axis]` by `ρᵢ`, by `Aᵢ` and by each parameter; it
     /// may be empty if none is needed.
     #[inline(always)]
-    pub(super) fn close<W: Wide, R: PairRows<D>, const D: usize>(
+    pub(super) fn close<W: SimdFloat, R: PairRows<D>, const D: usize>(
         &mut self,
-        kept: Kept<'_>,
-        direct: &[Lanes],
+        kept: TangentOptions<'_>,
+        direct: &[F64x8],
         pull: impl Fn(f64) -> f64,
     ) {
         let first = self.start.last().map_or(0, |&first| first as usize);
@@ -339,7 +356,7 @@ impl Slopes {
         }
         if kept.coupling == Coupling::Local {
             for (rows, &slot) in rows.chunks_exact_mut(R::ROWS).zip(&self.slots[first..]) {
-                R::leave_alone(rows, kept.stress_slopes[slot as usize], &pull, &mut own);
+                R::leave_alone(rows, kept.p_over_rho2_slopes[slot as usize], &pull, &mut own);
             }
         }
         own.complete();
@@ -357,18 +374,18 @@ impl Slopes {
 
     /// The diagonal block of the `k`-th particle.
     #[inline(always)]
-    fn own<const D: usize>(&self, k: usize) -> OwnSlope<Lanes, D> {
-        let mut own = OwnSlope { by_state: Vector([Lanes::ZERO; D]), value: 0.0 };
+    fn own<const D: usize>(&self, k: usize) -> OwnSlope<F64x8, D> {
+        let mut own = OwnSlope { by_state: Vector([F64x8::ZERO; D]), value: 0.0 };
         own.by_state.0.copy_from_slice(&self.own[D * k..D * (k + 1)]);
         own
     }
 
     /// Adds the direct dependence of the `k`-th particle's `δa` on the parameters.
     #[inline(always)]
-    fn add_direct<W: Wide, const D: usize>(
+    fn add_direct<W: SimdFloat, const D: usize>(
         &self,
         k: usize,
-        directions: &[Lanes],
+        directions: &[F64x8],
         sum: &mut Vector<W, D>,
     ) {
         let count = D * directions.len();
@@ -388,28 +405,28 @@ impl Slopes {
         &self,
         first: usize,
         [sensitivities, next]: [&[PackedSensitivity<D>]; 2],
-        directions: &[Lanes],
-        out: &mut [Vector<Lanes, D>],
+        directions: &[F64x8],
+        out: &mut [Vector<F64x8, D>],
     ) {
         dispatch(BlockPass { slopes: self, first, sensitivities, next, directions, out });
     }
 }
 
-/// [`Slopes::add_tangents`].
+/// [`ForceJacobian::add_tangents`].
 struct BlockPass<'a, const D: usize> {
-    slopes: &'a Slopes,
+    slopes: &'a ForceJacobian,
     first: usize,
     sensitivities: &'a [PackedSensitivity<D>],
     next: &'a [PackedSensitivity<D>],
-    directions: &'a [Lanes],
-    out: &'a mut [Vector<Lanes, D>],
+    directions: &'a [F64x8],
+    out: &'a mut [Vector<F64x8, D>],
 }
 
-impl<const D: usize> Pass for BlockPass<'_, D> {
+impl<const D: usize> SimdTask for BlockPass<'_, D> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         match self.slopes.form {
             Form::Central => self.sweep::<W::Double, CentralRows>(),
             Form::Matrix => self.sweep::<W::Double, MatrixRows>(),
@@ -420,10 +437,10 @@ impl<const D: usize> Pass for BlockPass<'_, D> {
 
 impl<const D: usize> BlockPass<'_, D> {
     #[inline(always)]
-    fn sweep<W: Wide, R: PairRows<D>>(self) {
+    fn sweep<W: SimdFloat, R: PairRows<D>>(self) {
         let Self { slopes, first, sensitivities, next, directions, out } = self;
         let explicit = !slopes.direct.is_empty()
-            && directions.iter().any(|direction| *direction != Lanes::ZERO);
+            && directions.iter().any(|direction| *direction != F64x8::ZERO);
         for (k, out) in out.iter_mut().enumerate() {
             if let Some(next) = next.get(first + k) {
                 next.fetch::<W>();

@@ -11,30 +11,30 @@
 
 use super::elementary::tanh;
 use super::{Layer, LayerMut, Network};
-use crate::scalar::{Lanes, Wide};
+use crate::scalar::{F64x8, SimdFloat};
 
 /// The intermediate values of an evaluation: [`Network::value`] writes them, the derivatives read
 /// them.
 #[derive(Clone, Debug)]
 pub struct Workspace {
-    input: Vec<Lanes>,
+    input: Vec<F64x8>,
     /// `y¹`, the first hidden layer.
-    first: Vec<Lanes>,
+    first: Vec<F64x8>,
     /// `y²`, the second hidden layer.
-    second: Vec<Lanes>,
-    output: Vec<Lanes>,
+    second: Vec<F64x8>,
+    output: Vec<F64x8>,
     /// Derivatives by the arguments of the first hidden layer's `tanh`.
-    first_cotangent: Vec<Lanes>,
+    first_cotangent: Vec<F64x8>,
     /// By the arguments of the second layer's.
-    second_cotangent: Vec<Lanes>,
+    second_cotangent: Vec<F64x8>,
     /// One for the output that is differentiated, zero for the others.
-    chosen: Vec<Lanes>,
+    chosen: Vec<F64x8>,
 }
 
 impl Workspace {
     /// A workspace for `network`.
     pub fn new(network: &Network) -> Self {
-        let zeros = |count: usize| vec![Lanes::ZERO; count];
+        let zeros = |count: usize| vec![F64x8::ZERO; count];
         Self {
             input: zeros(network.inputs()),
             first: zeros(network.height()),
@@ -48,7 +48,7 @@ impl Workspace {
 
     /// The last result of [`Network::value`], `[outputs]`.
     #[inline(always)]
-    pub fn output(&self) -> &[Lanes] {
+    pub fn output(&self) -> &[F64x8] {
         &self.output
     }
 }
@@ -57,21 +57,21 @@ impl Workspace {
 #[derive(Debug)]
 pub struct Cotangents<'a> {
     /// `[inputs]`: overwritten.
-    pub input: &'a mut [Lanes],
+    pub input: &'a mut [F64x8],
     /// `[parameters]`: added to, lane by lane; the caller sums the lanes once, at the end
-    /// ([`Lanes::sum`]).
-    pub parameters: &'a mut [Lanes],
+    /// ([`F64x8::sum`]).
+    pub parameters: &'a mut [F64x8],
 }
 
 impl Network {
     /// The outputs `[outputs]` for eight inputs `[inputs]`: [`Network::plain`], lane by lane.
     #[inline(always)]
-    pub fn value<'w, W: Wide>(
+    pub fn value<'w, W: SimdFloat>(
         &self,
         parameters: &[f64],
-        input: &[Lanes],
+        input: &[F64x8],
         workspace: &'w mut Workspace,
-    ) -> &'w [Lanes] {
+    ) -> &'w [F64x8] {
         let [first, second, last] = self.layers(parameters);
         workspace.input.copy_from_slice(input);
         first.hidden::<W>(&workspace.input, &mut workspace.first);
@@ -87,10 +87,10 @@ impl Network {
     /// derivative of `Σⱼ wᵢⱼ NN(ij)` by the parameters is the same sum: pull `wᵢⱼ` back for all
     /// neighbours of one particle, then sum the lanes once.
     #[inline(always)]
-    pub fn pullback<W: Wide>(
+    pub fn pullback<W: SimdFloat>(
         &self,
         parameters: &[f64],
-        output_cotangent: &[Lanes],
+        output_cotangent: &[F64x8],
         workspace: &mut Workspace,
         into: Cotangents<'_>,
     ) {
@@ -105,11 +105,11 @@ impl Network {
 
     /// `∂out/∂in` of the last [`Network::value`], row by row, `[outputs × inputs]`.
     #[inline(always)]
-    pub fn jacobian<W: Wide>(
+    pub fn jacobian<W: SimdFloat>(
         &self,
         parameters: &[f64],
         workspace: &mut Workspace,
-        jacobian: &mut [Lanes],
+        jacobian: &mut [F64x8],
     ) {
         let layers = self.layers(parameters);
         for (output, row) in jacobian.chunks_exact_mut(self.inputs()).enumerate() {
@@ -120,15 +120,15 @@ impl Network {
 
     /// `∂out/∂θ` of one output of the last [`Network::value`], `[parameters]`: overwrites `gradient`.
     #[inline(always)]
-    pub fn parameter_gradient<W: Wide>(
+    pub fn parameter_gradient<W: SimdFloat>(
         &self,
         parameters: &[f64],
         output: usize,
         workspace: &mut Workspace,
-        gradient: &mut [Lanes],
+        gradient: &mut [F64x8],
     ) {
         let layers = self.layers(parameters);
-        gradient.fill(Lanes::ZERO);
+        gradient.fill(F64x8::ZERO);
         let [first_into, second_into, last_into] = self.layers_mut(gradient);
         pull_chosen::<W>(&layers, output, workspace);
         last_into.add::<W>(&workspace.chosen, &workspace.second);
@@ -141,12 +141,12 @@ impl Network {
     /// `jacobian` is that of [`Network::jacobian`], and `lane` the pair's lane in it; the lanes of
     /// `input_tangent` `[inputs]` and of the result are parameters.
     #[inline(always)]
-    pub fn tangent<W: Wide>(
+    pub fn tangent<W: SimdFloat>(
         &self,
-        jacobian: &[Lanes],
+        jacobian: &[F64x8],
         lane: usize,
-        input_tangent: &[Lanes],
-        output_tangent: &mut [Lanes],
+        input_tangent: &[F64x8],
+        output_tangent: &mut [F64x8],
     ) {
         let rows = jacobian.chunks_exact(self.inputs());
         for (change, row) in output_tangent.iter_mut().zip(rows) {
@@ -161,9 +161,9 @@ impl Network {
 
 /// From derivatives by the outputs to derivatives by the arguments of each `tanh`.
 #[inline(always)]
-fn pull<W: Wide>(
+fn pull<W: SimdFloat>(
     [_, second, last]: &[Layer<'_, f64>; 3],
-    cotangent: &[Lanes],
+    cotangent: &[F64x8],
     workspace: &mut Workspace,
 ) {
     let Workspace { first, second: y2, first_cotangent, second_cotangent, .. } = workspace;
@@ -173,9 +173,13 @@ fn pull<W: Wide>(
 
 /// The same for a single output.
 #[inline(always)]
-fn pull_chosen<W: Wide>(layers: &[Layer<'_, f64>; 3], output: usize, workspace: &mut Workspace) {
+fn pull_chosen<W: SimdFloat>(
+    layers: &[Layer<'_, f64>; 3],
+    output: usize,
+    workspace: &mut Workspace,
+) {
     let mut chosen = std::mem::take(&mut workspace.chosen);
-    chosen.fill(Lanes::ZERO);
+    chosen.fill(F64x8::ZERO);
     chosen[output] = W::of(1.0).store();
     pull::<W>(layers, &chosen, workspace);
     workspace.chosen = chosen;
@@ -184,7 +188,7 @@ fn pull_chosen<W: Wide>(layers: &[Layer<'_, f64>; 3], output: usize, workspace: 
 impl Layer<'_, f64> {
     /// `W x + b`, unit by unit.
     #[inline(always)]
-    fn affine<W: Wide>(&self, x: &[Lanes], units: &mut [Lanes]) {
+    fn affine<W: SimdFloat>(&self, x: &[F64x8], units: &mut [F64x8]) {
         let mut rows = self.weights;
         for (unit, &bias) in units.iter_mut().zip(self.bias) {
             let (row, rest) = rows.split_at(x.len());
@@ -195,7 +199,7 @@ impl Layer<'_, f64> {
 
     /// `tanh(W x + b)`, unit by unit.
     #[inline(always)]
-    fn hidden<W: Wide>(&self, x: &[Lanes], units: &mut [Lanes]) {
+    fn hidden<W: SimdFloat>(&self, x: &[F64x8], units: &mut [F64x8]) {
         let mut rows = self.weights;
         for (unit, &bias) in units.iter_mut().zip(self.bias) {
             let (row, rest) = rows.split_at(x.len());
@@ -206,7 +210,7 @@ impl Layer<'_, f64> {
 
     /// `Wᵀ λ`.
     #[inline(always)]
-    fn transposed<W: Wide>(&self, cotangent: &[Lanes], into: &mut [Lanes]) {
+    fn transposed<W: SimdFloat>(&self, cotangent: &[F64x8], into: &mut [F64x8]) {
         let receives = into.len();
         for (column, into) in into.iter_mut().enumerate() {
             *into = self.column_times::<W>(column, receives, cotangent).store();
@@ -215,7 +219,12 @@ impl Layer<'_, f64> {
 
     /// `Wᵀ λ` times `1 − x²`: the derivative by `z` where the input was `x = tanh z`.
     #[inline(always)]
-    fn transposed_hidden<W: Wide>(&self, cotangent: &[Lanes], x: &[Lanes], into: &mut [Lanes]) {
+    fn transposed_hidden<W: SimdFloat>(
+        &self,
+        cotangent: &[F64x8],
+        x: &[F64x8],
+        into: &mut [F64x8],
+    ) {
         for (column, (into, y)) in into.iter_mut().zip(x).enumerate() {
             let y = W::load(y);
             let received = self.column_times::<W>(column, x.len(), cotangent);
@@ -225,7 +234,7 @@ impl Layer<'_, f64> {
 
     /// One column of `W` times `λ`.
     #[inline(always)]
-    fn column_times<W: Wide>(&self, column: usize, receives: usize, cotangent: &[Lanes]) -> W {
+    fn column_times<W: SimdFloat>(&self, column: usize, receives: usize, cotangent: &[F64x8]) -> W {
         let mut sum = W::of(0.0);
         let mut place = column;
         for cotangent in cotangent {
@@ -238,7 +247,7 @@ impl Layer<'_, f64> {
 
 /// One row of `W` times `x`, and the bias.
 #[inline(always)]
-fn row_times<W: Wide>(row: &[f64], x: &[Lanes], bias: f64) -> W {
+fn row_times<W: SimdFloat>(row: &[f64], x: &[F64x8], bias: f64) -> W {
     let mut sum = W::of(bias);
     for (&weight, x) in row.iter().zip(x) {
         sum += W::load(x) * weight;
@@ -246,10 +255,10 @@ fn row_times<W: Wide>(row: &[f64], x: &[Lanes], bias: f64) -> W {
     sum
 }
 
-impl LayerMut<'_, Lanes> {
+impl LayerMut<'_, F64x8> {
     /// `W̄ += λ xᵀ`, `b̄ += λ`.
     #[inline(always)]
-    fn add<W: Wide>(self, cotangent: &[Lanes], x: &[Lanes]) {
+    fn add<W: SimdFloat>(self, cotangent: &[F64x8], x: &[F64x8]) {
         let (mut unit, mut column) = (0, 0);
         for weight in self.weights {
             let share = W::load(&cotangent[unit]) * W::load(&x[column]);

@@ -5,7 +5,7 @@
 //! Both write `x = k ln 2 + r` with `|r| ≤ ½ ln 2`, and `eʳ = (R + r)/(R − r)` with the even function
 //! `R(r) = r coth(r/2)`, a short polynomial (fdlibm, `e_exp.c`).
 
-use crate::scalar::{Lanes, WIDTH, Wide};
+use crate::scalar::{F64x8, SimdFloat, WIDTH};
 use std::f64::consts::LOG2_E;
 
 /// Rounding constant `1.5 · 2⁵²`: adding it rounds a number to an integer in the lowest bits of the
@@ -22,7 +22,7 @@ const LOWEST: f64 = -700.0;
 
 /// `(2ᵏ, r)` of `x = k ln 2 + r`.
 #[inline(always)]
-fn reduce<W: Wide>(x: W) -> (W, W) {
+fn reduce<W: SimdFloat>(x: W) -> (W, W) {
     let shifted = x * LOG2_E + ROUND;
     let k = shifted - ROUND;
     (W::power_of_two(shifted), (x - k * LN_2_HIGH) - k * LN_2_LOW)
@@ -30,7 +30,7 @@ fn reduce<W: Wide>(x: W) -> (W, W) {
 
 /// `R − 2 = r coth(r/2) − 2` for `|r| ≤ ½ ln 2`, error below `2⁻⁵⁹`.
 #[inline(always)]
-fn even_part<W: Wide>(r: W) -> W {
+fn even_part<W: SimdFloat>(r: W) -> W {
     let z = r * r;
     let high = z * 4.138_136_797_057_238_4e-8 - 1.653_390_220_546_525_2e-6;
     let low = W::of(1.666_666_666_666_660_2e-1) - z * 2.777_777_777_701_559_3e-3;
@@ -43,7 +43,7 @@ fn even_part<W: Wide>(r: W) -> W {
 /// The error is at most 3 units in the last place. The result is never above one in size, keeps the
 /// sign of zero, and is NaN for NaN. Its derivative is `1 − y²`. Only for `f64`.
 #[inline(always)]
-pub fn tanh<W: Wide>(x: W) -> W {
+pub fn tanh<W: SimdFloat>(x: W) -> W {
     // In this form NaN compares as not less, and is kept.
     let (saturated, size) = (W::of(SATURATED), x.abs());
     let size = W::select_less(saturated, size, saturated, size);
@@ -65,21 +65,21 @@ pub fn tanh<W: Wide>(x: W) -> W {
 ///
 /// Within 1 unit in the last place of [`f64::exp`].
 #[inline(always)]
-pub fn exp<W: Wide>(x: W) -> W {
+pub fn exp<W: SimdFloat>(x: W) -> W {
     let lowest = W::of(LOWEST);
     let (power, r) = reduce(W::select_less(x, lowest, lowest, x));
     power + power * (r * 2.0 / (even_part(r) + 2.0 - r))
 }
 
 /// The eight numbers `0, 1, …, 7`.
-pub const COUNT: Lanes = {
+pub const COUNT: F64x8 = {
     let mut lanes = [0.0; WIDTH];
     let mut lane = 0;
     while lane < WIDTH {
         lanes[lane] = lane as f64;
         lane += 1;
     }
-    Lanes::new(lanes)
+    F64x8::new(lanes)
 };
 
 #[cfg(test)]
@@ -95,7 +95,7 @@ mod tests {
     }
 
     fn tanh_1(x: f64) -> f64 {
-        tanh(Lanes::of(x)).to_array()[3]
+        tanh(F64x8::of(x)).to_array()[3]
     }
 
     #[test]
@@ -131,7 +131,7 @@ mod tests {
     fn exp_is_within_one_unit_in_the_last_place_of_the_standard_one() {
         let worst = (0..100_000).map(|k| {
             let x = -0.007 * f64::from(k) + 3.0;
-            ulps(exp(Lanes::of(x)).to_array()[0], x.max(-700.0).exp())
+            ulps(exp(F64x8::of(x)).to_array()[0], x.max(-700.0).exp())
         });
         let worst = worst.max();
         println!("exp: at most {worst:?} units in the last place from the standard library's");

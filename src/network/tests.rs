@@ -1,7 +1,7 @@
 //! Compares every batched form with the plain formula and dual numbers.
 
 use super::*;
-use crate::scalar::{Dual, Lanes, WIDTH};
+use crate::scalar::{Dual, F64x8, WIDTH};
 use rand::SeedableRng;
 
 /// The shapes of the hierarchy, and one with all sizes different.
@@ -11,7 +11,7 @@ const SHAPES: [(usize, usize, usize); 6] =
 struct Case {
     network: Network,
     parameters: Vec<f64>,
-    input: Vec<Lanes>,
+    input: Vec<F64x8>,
     workspace: Workspace,
 }
 
@@ -21,14 +21,14 @@ fn cases() -> Vec<Case> {
         let mut random = ChaCha8Rng::seed_from_u64(9);
         let mut parameters = network.initial(&mut random);
         parameters.iter_mut().for_each(|p| *p += 0.2 * random.random::<f64>());
-        let mut lanes = || Lanes::new(std::array::from_fn(|_| 4.0 * random.random::<f64>() - 2.0));
+        let mut lanes = || F64x8::new(std::array::from_fn(|_| 4.0 * random.random::<f64>() - 2.0));
         let input = (0..inputs).map(|_| lanes()).collect();
         Case { network, parameters, input, workspace: Workspace::new(&network) }
     };
     SHAPES.map(case).into()
 }
 
-fn one_lane(numbers: &[Lanes], lane: usize) -> Vec<f64> {
+fn one_lane(numbers: &[F64x8], lane: usize) -> Vec<f64> {
     numbers.iter().map(|x| x.to_array()[lane]).collect()
 }
 
@@ -83,7 +83,7 @@ fn eight_inputs_at_once_give_the_plain_value() {
     for mut case in cases() {
         let output = case
             .network
-            .value::<Lanes>(&case.parameters, &case.input, &mut case.workspace)
+            .value::<F64x8>(&case.parameters, &case.input, &mut case.workspace)
             .to_vec();
         assert_eq!(case.workspace.output(), output);
         for lane in 0..WIDTH {
@@ -99,13 +99,13 @@ fn eight_inputs_at_once_give_the_plain_value() {
 fn the_pullback_is_the_derivative_by_dual_numbers() {
     for mut case in cases() {
         let (inputs, count) = (case.network.inputs(), case.network.parameter_count());
-        case.network.value::<Lanes>(&case.parameters, &case.input, &mut case.workspace);
+        case.network.value::<F64x8>(&case.parameters, &case.input, &mut case.workspace);
         let weights = [0.7, -1.3, 0.4, 2.0];
         let cotangent: Vec<_> =
-            weights.iter().take(case.network.outputs()).map(|&w| Lanes::of(w)).collect();
-        let (mut input, mut parameters) = (vec![Lanes::of(9.0); inputs], vec![Lanes::ZERO; count]);
+            weights.iter().take(case.network.outputs()).map(|&w| F64x8::of(w)).collect();
+        let (mut input, mut parameters) = (vec![F64x8::of(9.0); inputs], vec![F64x8::ZERO; count]);
         let into = Cotangents { input: &mut input, parameters: &mut parameters };
-        case.network.pullback::<Lanes>(&case.parameters, &cotangent, &mut case.workspace, into);
+        case.network.pullback::<F64x8>(&case.parameters, &cotangent, &mut case.workspace, into);
         for lane in [0, 5] {
             let fast = [one_lane(&input, lane), one_lane(&parameters, lane)].concat();
             for (index, fast) in fast.into_iter().enumerate() {
@@ -122,18 +122,18 @@ fn jacobian_and_parameter_gradient_are_pullbacks_of_one_output() {
     for mut case in cases() {
         let Case { network, parameters, input, workspace } = &mut case;
         let (inputs, outputs) = (network.inputs(), network.outputs());
-        let zeros = vec![Lanes::ZERO; network.parameter_count()];
-        network.value::<Lanes>(parameters, input, workspace);
-        let mut jacobian = vec![Lanes::ZERO; inputs * outputs];
-        network.jacobian::<Lanes>(parameters, workspace, &mut jacobian);
+        let zeros = vec![F64x8::ZERO; network.parameter_count()];
+        network.value::<F64x8>(parameters, input, workspace);
+        let mut jacobian = vec![F64x8::ZERO; inputs * outputs];
+        network.jacobian::<F64x8>(parameters, workspace, &mut jacobian);
         for output in 0..outputs {
-            let mut gradient = vec![Lanes::of(3.0); zeros.len()];
-            network.parameter_gradient::<Lanes>(parameters, output, workspace, &mut gradient);
-            let mut one = vec![Lanes::ZERO; outputs];
-            one[output] = Lanes::of(1.0);
-            let (mut by_input, mut by_parameter) = (vec![Lanes::ZERO; inputs], zeros.clone());
+            let mut gradient = vec![F64x8::of(3.0); zeros.len()];
+            network.parameter_gradient::<F64x8>(parameters, output, workspace, &mut gradient);
+            let mut one = vec![F64x8::ZERO; outputs];
+            one[output] = F64x8::of(1.0);
+            let (mut by_input, mut by_parameter) = (vec![F64x8::ZERO; inputs], zeros.clone());
             let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-            network.pullback::<Lanes>(parameters, &one, workspace, into);
+            network.pullback::<F64x8>(parameters, &one, workspace, into);
             let fast = [&jacobian[output * inputs..(output + 1) * inputs], &gradient].concat();
             for (fast, slow) in fast.iter().zip([by_input, by_parameter].concat()) {
                 (0..WIDTH).for_each(|l| near(fast.to_array()[l], slow.to_array()[l], "one"));
@@ -146,11 +146,11 @@ fn jacobian_and_parameter_gradient_are_pullbacks_of_one_output() {
 fn the_tangent_is_the_jacobian_of_one_pair_times_eight_columns() {
     let Case { network, parameters, input, mut workspace } = cases().swap_remove(2);
     let (inputs, outputs, lane) = (network.inputs(), network.outputs(), 6);
-    network.value::<Lanes>(&parameters, &input, &mut workspace);
-    let mut jacobian = vec![Lanes::ZERO; inputs * outputs];
-    network.jacobian::<Lanes>(&parameters, &mut workspace, &mut jacobian);
-    let mut output = vec![Lanes::ZERO; outputs];
-    network.tangent::<Lanes>(&jacobian, lane, &input, &mut output);
+    network.value::<F64x8>(&parameters, &input, &mut workspace);
+    let mut jacobian = vec![F64x8::ZERO; inputs * outputs];
+    network.jacobian::<F64x8>(&parameters, &mut workspace, &mut jacobian);
+    let mut output = vec![F64x8::ZERO; outputs];
+    network.tangent::<F64x8>(&jacobian, lane, &input, &mut output);
     for column in 0..WIDTH {
         for (o, change) in output.iter().enumerate() {
             let row = one_lane(&jacobian[o * inputs..(o + 1) * inputs], lane);
@@ -163,13 +163,13 @@ fn the_tangent_is_the_jacobian_of_one_pair_times_eight_columns() {
 #[test]
 fn parameter_cotangents_add_up() {
     let Case { network, parameters, input, mut workspace } = cases().swap_remove(0);
-    network.value::<Lanes>(&parameters, &input, &mut workspace);
-    let mut by_input = [Lanes::ZERO; 3];
-    let mut sum = vec![Lanes::ZERO; network.parameter_count()];
+    network.value::<F64x8>(&parameters, &input, &mut workspace);
+    let mut by_input = [F64x8::ZERO; 3];
+    let mut sum = vec![F64x8::ZERO; network.parameter_count()];
     let mut once = sum.clone();
     for k in 0..3 {
         let into = Cotangents { input: &mut by_input, parameters: &mut sum };
-        network.pullback::<Lanes>(&parameters, &[Lanes::of(1.0)], &mut workspace, into);
+        network.pullback::<F64x8>(&parameters, &[F64x8::of(1.0)], &mut workspace, into);
         if k == 0 {
             once.clone_from(&sum);
         }
@@ -184,15 +184,15 @@ fn huge_weights_saturate_and_stay_finite() {
     for mut case in cases() {
         case.parameters.iter_mut().for_each(|p| *p *= 1e6);
         let Case { network, parameters, input, workspace } = &mut case;
-        let finite = |x: &Lanes| x.to_array().iter().all(|x| x.is_finite());
+        let finite = |x: &F64x8| x.to_array().iter().all(|x| x.is_finite());
         let bound = 2e6 * (network.height() + 1) as f64;
-        let output = network.value::<Lanes>(parameters, input, workspace);
+        let output = network.value::<F64x8>(parameters, input, workspace);
         assert!(output.iter().all(|y| y.to_array().iter().all(|y| y.abs() < bound)));
-        let cotangent = vec![Lanes::of(1.0); network.outputs()];
-        let mut by_input = vec![Lanes::ZERO; network.inputs()];
-        let mut by_parameter = vec![Lanes::ZERO; network.parameter_count()];
+        let cotangent = vec![F64x8::of(1.0); network.outputs()];
+        let mut by_input = vec![F64x8::ZERO; network.inputs()];
+        let mut by_parameter = vec![F64x8::ZERO; network.parameter_count()];
         let into = Cotangents { input: &mut by_input, parameters: &mut by_parameter };
-        network.pullback::<Lanes>(parameters, &cotangent, workspace, into);
+        network.pullback::<F64x8>(parameters, &cotangent, workspace, into);
         assert!(by_input.iter().all(finite) && by_parameter.iter().all(finite));
     }
 }

@@ -4,7 +4,7 @@ use prost::Message as _;
 
 use super::colour::colour;
 use super::messages::{NumericType, PackedElementField, PointCloud};
-use super::rows::{Particle, Title, write_row};
+use super::rows::{CloudHeader, Particle, write_row};
 use crate::{Error, Result};
 
 /// The frame of reference of every cloud.
@@ -151,7 +151,7 @@ impl Cloud {
 
     /// Encodes the cloud as `foxglove.PointCloud` into `message`; `shade[k]` is particle `k`'s
     /// fraction of the colour scale.
-    pub(super) fn encode(&self, title: &Title<'_>, shade: &[f64], message: &mut Vec<u8>) {
+    pub(super) fn encode(&self, title: &CloudHeader<'_>, shade: &[f64], message: &mut Vec<u8>) {
         title.encode(message, self.positions.len(), |k, row| {
             let columns = self.columns.iter().map(|column| column.values[k]);
             write_row((k, row), self.positions[k].into_iter().chain(columns), colour(shade[k]));

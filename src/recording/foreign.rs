@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::cloud::{Cloud, Numbered};
-use super::source::Source;
+use super::source::McapReader;
 use crate::{Error, Result};
 
 /// The schema of the messages that are read.
@@ -14,7 +14,7 @@ const SCHEMA: &str = "foxglove.PointCloud";
 #[derive(Debug)]
 pub struct Clouds {
     place: String,
-    source: Source,
+    source: McapReader,
 }
 
 /// A point cloud as particles.
@@ -30,7 +30,7 @@ impl Clouds {
     /// # Errors
     /// [`Error::File`] if it cannot be read, [`Error::Input`] if it is not an MCAP file or is damaged.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut source = Source::open(path)?;
+        let mut source = McapReader::open(path)?;
         source.complete()?;
         Ok(Self { place: path.display().to_string(), source })
     }

@@ -6,7 +6,7 @@ use prost::Message as _;
 
 use super::messages::{Conservation, Log, TrainStep, Values};
 use super::schemas::Schema;
-use super::sink::{Entry, Sink};
+use super::sink::{Entry, McapWriter};
 use super::{Summary, clock, topic};
 use crate::Result;
 
@@ -37,7 +37,7 @@ pub(super) enum Order {
 
 /// The writing thread: executes orders until the queue is closed, then completes the file.
 pub(super) fn obey(
-    mut sink: Sink,
+    mut sink: McapWriter,
     orders: &Receiver<Order>,
     written: &Sender<Vec<u8>>,
 ) -> Result<Summary> {
@@ -83,12 +83,12 @@ pub(super) fn obey(
     sink.finish(named)
 }
 
-fn write(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
+fn write(sink: &mut McapWriter, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
     let (log_time, publish_time) = times;
     sink.write(&Entry { topic, log_time, publish_time, data, alone: false })
 }
 
-fn write_cloud(sink: &mut Sink, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
+fn write_cloud(sink: &mut McapWriter, topic: &str, times: (u64, u64), data: &[u8]) -> Result<()> {
     let schema = Schema::PointCloud;
     sink.channel(topic, schema.name(), || schema.descriptors())?;
     let (log_time, publish_time) = times;

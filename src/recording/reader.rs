@@ -8,7 +8,7 @@ use prost::Message;
 use super::cloud::{Decoded, Numbered};
 use super::messages::{self, Level, Log, Scene, TrainStep, Values};
 use super::schemas::Schema;
-use super::source::Source;
+use super::source::McapReader;
 use super::{Cloud, DAMAGED, Flow, Frame, RunInfo, clock, topic};
 use crate::statistics::Conservation;
 use crate::{Error, Result};
@@ -20,7 +20,7 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct Recording {
     place: String,
-    source: Source,
+    source: McapReader,
     run: RunInfo,
 }
 
@@ -44,7 +44,7 @@ impl Recording {
     /// [`Error::File`] if the file cannot be read, [`Error::Input`] if it is not an MCAP file, was
     /// not written by whirls, or is damaged.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut source = Source::open(path)?;
+        let mut source = McapReader::open(path)?;
         let place = source.path().display().to_string();
         source.complete()?;
         let Some(record) = source.record.take() else {
@@ -167,7 +167,7 @@ impl Recording {
 }
 
 /// The scene's text; empty if the file ends before it.
-fn scene(source: &Source, place: &str) -> Result<String> {
+fn scene(source: &McapReader, place: &str) -> Result<String> {
     let scenes = decode_all::<Scene>(source, topic::SCENE, place)?;
     Ok(scenes.into_iter().next().map(|scene| scene.toml).unwrap_or_default())
 }
@@ -182,7 +182,11 @@ pub(super) fn no_metadata(place: &str) -> Error {
 }
 
 /// All messages of a topic, in the order of writing.
-fn decode_all<M: Message + Default>(source: &Source, topic: &str, place: &str) -> Result<Vec<M>> {
+fn decode_all<M: Message + Default>(
+    source: &McapReader,
+    topic: &str,
+    place: &str,
+) -> Result<Vec<M>> {
     let mut decoded = Vec::new();
     for chunk in &source.chunks {
         for &channel in chunk.times.keys() {

@@ -7,8 +7,8 @@ use std::thread::JoinHandle;
 use super::colour::Palette;
 use super::messages::{Level, Log, TrainStep, Values};
 use super::orders::{Order, obey};
-use super::rows::{Particle, Title, write_row};
-use super::sink::Sink;
+use super::rows::{CloudHeader, Particle, write_row};
+use super::sink::McapWriter;
 use super::{Cloud, Flow, Frame, RunInfo, Summary, clock, topic};
 use crate::output::Output;
 use crate::statistics::Conservation;
@@ -93,7 +93,7 @@ impl Recorder {
     /// [`Error::Input`] if `run` is invalid, [`Error::File`] if the file cannot be written.
     pub fn begin(output: Output, run: &RunInfo) -> Result<Self> {
         let path = output.unfinished().to_owned();
-        let mut sink = Sink::create(output, run.to_record()?, &run.scene_toml)?;
+        let mut sink = McapWriter::create(output, run.to_record()?, &run.scene_toml)?;
         sink.begin(&run.scene_toml)?;
         let (queue, orders) = sync_channel(QUEUE);
         let (back, written) = channel();
@@ -162,7 +162,7 @@ impl Recorder {
         count: usize,
         particle: impl Fn(usize) -> Particle + Sync,
     ) -> Result<()> {
-        let title = Title { step, time, columns };
+        let title = CloudHeader { step, time, columns };
         must_fit(topic, &title, count)?;
         let (mut message, per_speed) = (self.room(), self.per_speed);
         let palette = &self.palette;
@@ -194,7 +194,7 @@ impl Recorder {
         }
         cloud.check(topic, self.dimension)?;
         let columns: Vec<&str> = cloud.columns.iter().map(|column| column.name.as_str()).collect();
-        let title = Title { step: cloud.step, time: cloud.time, columns: &columns };
+        let title = CloudHeader { step: cloud.step, time: cloud.time, columns: &columns };
         must_fit(topic, &title, cloud.positions.len())?;
         let mut message = self.room();
         cloud.encode(&title, &shade, &mut message);
@@ -299,7 +299,12 @@ impl Recorder {
         self.written.try_recv().unwrap_or_default()
     }
 
-    fn order_cloud(&mut self, topic: &str, title: &Title<'_>, message: Vec<u8>) -> Result<()> {
+    fn order_cloud(
+        &mut self,
+        topic: &str,
+        title: &CloudHeader<'_>,
+        message: Vec<u8>,
+    ) -> Result<()> {
         let times = (clock::nanoseconds(title.time), clock::ticks(title.step));
         self.order(Order::Cloud { topic: topic.into(), times, message })
     }
@@ -337,7 +342,7 @@ impl Drop for Recorder {
 }
 
 /// Refuses a cloud of `count` particles that would be too large to be read.
-fn must_fit(topic: &str, title: &Title<'_>, count: usize) -> Result<()> {
+fn must_fit(topic: &str, title: &CloudHeader<'_>, count: usize) -> Result<()> {
     let bytes = title.stride().saturating_mul(count);
     if bytes <= LARGEST_CLOUD {
         return Ok(());

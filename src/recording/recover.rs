@@ -8,8 +8,8 @@ use prost::Message as _;
 use super::messages::Scene;
 use super::reader::no_metadata;
 use super::schemas::Schema;
-use super::sink::{Entry, Sink};
-use super::source::Source;
+use super::sink::{Entry, McapWriter};
+use super::source::McapReader;
 use super::wire::{ChannelRecord, MessageRecord, SchemaRecord, opcode};
 use super::{Summary, topic};
 use crate::output::{Output, must_differ};
@@ -37,14 +37,14 @@ pub struct Recovered {
 /// particles is whole, nothing is written, and the error is one of a failed run.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered> {
     must_differ(output, &[input])?;
-    let mut source = Source::open(input)?;
+    let mut source = McapReader::open(input)?;
     let place = input.display().to_string();
     let record = source.record.take().ok_or_else(|| no_metadata(&place))?;
     let mut copy = Copy::default();
     let scene = copy.scene(&source);
     // The input may be the unfinished file of this very output.
     let output = Output::beside(output)?;
-    let copied = Sink::create(output.clone(), record, &scene).and_then(|mut sink| {
+    let copied = McapWriter::create(output.clone(), record, &scene).and_then(|mut sink| {
         sink.begin(&scene)?;
         copy.chunks(&source, &mut sink)?;
         match copy.frames {
@@ -82,7 +82,7 @@ struct Copy {
 
 impl Copy {
     /// The scene's text; empty if it was not written. It is in one of the first chunks.
-    fn scene(&mut self, source: &Source) -> String {
+    fn scene(&mut self, source: &McapReader) -> String {
         for chunk in source.chunks.iter().take(2) {
             let mut found = None;
             let read = source.records(chunk, |code, body| {
@@ -99,7 +99,7 @@ impl Copy {
     }
 
     /// Copies all messages except those that begin every recording.
-    fn chunks(&mut self, source: &Source, sink: &mut Sink) -> Result<()> {
+    fn chunks(&mut self, source: &McapReader, sink: &mut McapWriter) -> Result<()> {
         for chunk in &source.chunks {
             let (mut written, mut frames) = (Ok(()), 0);
             let read = source.records(chunk, |code, body| {
@@ -141,7 +141,7 @@ impl Copy {
     }
 }
 
-fn write(sink: &mut Sink, found: (&str, &SchemaRecord, MessageRecord<'_>)) -> Result<()> {
+fn write(sink: &mut McapWriter, found: (&str, &SchemaRecord, MessageRecord<'_>)) -> Result<()> {
     let (topic, schema, message) = found;
     if matches!(topic, topic::SCENE | topic::TRANSFORM) {
         return Ok(());

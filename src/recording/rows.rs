@@ -17,14 +17,14 @@ const DATA: u8 = (6 << 3) | 2;
 pub(crate) type Particle = ([f64; 3], [f64; 3], f64);
 
 /// The properties that all rows of a cloud share.
-pub(super) struct Title<'a> {
+pub(super) struct CloudHeader<'a> {
     pub(super) step: u64,
     pub(super) time: f64,
     /// Names of the columns after x, y and z.
     pub(super) columns: &'a [&'a str],
 }
 
-impl Title<'_> {
+impl CloudHeader<'_> {
     /// Bytes of a row: its columns, its number and its colour.
     pub(super) fn stride(&self) -> usize {
         8 * (3 + self.columns.len()) + 4 + 4
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn the_message_is_the_one_that_protobuf_encodes_whatever_it_held_before() {
-        let title = |step| Title { step, time: 0.25 * step as f64, columns: &["a"] };
+        let title = |step| CloudHeader { step, time: 0.25 * step as f64, columns: &["a"] };
         let mut message = vec![7; 5000];
         for (step, count) in [(1, 40), (0, 300), (u64::MAX, 2), (5, 2)] {
             title(step).encode(&mut message, count, |k, row| {

@@ -38,7 +38,7 @@ struct Channel {
 /// An MCAP file being written. If it is dropped, it is complete but keeps its unfinished name;
 /// after a kill it can be read up to the last chunk.
 /// chunk.
-pub(super) struct Sink {
+pub(super) struct McapWriter {
     output: Output,
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
@@ -47,7 +47,7 @@ pub(super) struct Sink {
     messages: u64,
 }
 
-impl Sink {
+impl McapWriter {
     /// Writes the metadata record and the scene attachment.
     pub(super) fn create(
         output: Output,

@@ -47,7 +47,7 @@ pub(super) struct Address {
 
 /// An MCAP file being read.
 #[derive(Debug)]
-pub(super) struct Source {
+pub(super) struct McapReader {
     path: PathBuf,
     file: Mutex<File>,
     pub(super) chunks: Vec<Chunk>,
@@ -57,7 +57,7 @@ pub(super) struct Source {
     pub(super) truncated: bool,
 }
 
-impl Source {
+impl McapReader {
     /// Reads the structure of the file or, if it does not exist yet, of the unfinished one.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use super::{frame, run_info};
 use crate::error::Result;
-use crate::evaluation::{Course, Errors, Evaluation};
+use crate::evaluation::{Errors, Evaluation, Rollout};
 use crate::interrupt;
 use crate::output::Output;
 use crate::recording::{self, Recorder, Values};
@@ -103,7 +103,7 @@ fn record_errors<const D: usize>(
     for (topic, of, floor) in kinds {
         for k in 0..evaluation.plan.marks.steps as usize {
             let models = evaluation.courses.iter().skip(1);
-            let error = |(name, course): &(String, Course<D>)| {
+            let error = |(name, course): &(String, Rollout<D>)| {
                 (name.clone(), of(&course.errors).get(k).copied().unwrap_or(f64::NAN))
             };
             let mut rows: Vec<(String, f64)> = models.map(error).collect();

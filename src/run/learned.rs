@@ -1,7 +1,7 @@
 //! The result of a training.
 
 use crate::learn::Knowledge;
-use crate::scene::Chosen;
+use crate::scene::CalibratedStep;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ pub struct TrainingReport {
     pub steps: usize,
     /// The step chosen for a requested accuracy.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub chosen: Option<Chosen>,
+    pub chosen: Option<CalibratedStep>,
     /// The mode of differentiation.
     pub gradient: String,
     /// Iterations of the search, including those of an earlier recording that was resumed.

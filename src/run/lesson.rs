@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::recording::Recording;
 use crate::scene::{Learn, Scene};
-use crate::trade::{Choice, settle};
+use crate::trade::{Choice, calibrate_step};
 use crate::truth::Truth;
 use std::time::Instant;
 
@@ -75,12 +75,12 @@ fn first_frame(learn: &Learn) -> Result<usize> {
 /// the observed times do not change.
 ///
 /// # Errors
-/// As [`settle`], [`Flow::new`] and [`admit`].
-pub fn settle_training<const D: usize>(
+/// As [`calibrate_step`], [`Flow::new`] and [`admit`].
+pub fn calibrate_training<const D: usize>(
     scene: &Scene,
     recorded: Option<Given<'_>>,
 ) -> Result<Choice> {
-    settle(scene, |written| match recorded {
+    calibrate_step(scene, |written| match recorded {
         None => Ok(Flow::<D>::new(written)?.state()),
         Some(Given { path, force }) => {
             let part = (first_frame(written.learning()?)?, written.learning()?.frames);

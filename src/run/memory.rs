@@ -6,7 +6,7 @@
 
 use super::{Lesson, Requirements};
 use crate::error::{Error, Result};
-use crate::flow::{Flow, Held, State};
+use crate::flow::{Flow, MemoryReport, State};
 use crate::learn::Learner;
 use crate::scene::{Learn, Scene};
 use crate::sensitivity::{Gradient, Storage};
@@ -21,14 +21,14 @@ const MOST: [usize; 2] = [96, 20];
 
 /// Memory available to a process in bytes, and what limits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Room {
+pub struct AvailableMemory {
     /// Bytes available.
     pub bytes: f64,
     /// What limits them.
     pub bound: &'static str,
 }
 
-impl Room {
+impl AvailableMemory {
     /// The minimum of free memory, address space and control group; `None` where the operating
     /// system tells none of them.
     pub fn now() -> Option<Self> {
@@ -62,7 +62,9 @@ pub fn training_must_fit<const D: usize>(scene: &Scene) -> Result<()> {
 }
 
 fn must_fit(bytes: f64, scene: &Scene, remedy: &str) -> Result<()> {
-    let Some(room) = Room::now().filter(|room| room.bytes < bytes) else { return Ok(()) };
+    let Some(room) = AvailableMemory::now().filter(|room| room.bytes < bytes) else {
+        return Ok(());
+    };
     let particles = scene.particles();
     Err(Error::input(
         format!("memory for scene {}", scene.name),
@@ -154,7 +156,7 @@ impl Twin {
     }
 
     /// Bytes per particle of columns, without those that [`training_bytes`] counts separately.
-    fn held(&self, columns: &[Held]) -> f64 {
+    fn held(&self, columns: &[MemoryReport]) -> f64 {
         let all = columns.iter().map(|column| match column.part {
             "truth" | "observations" => 0.0,
             "tape" if column.name.contains("and snapshots") => 0.0,

@@ -18,8 +18,10 @@ pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};
 pub use import::{Import, Imported, Origins};
 pub use learned::{Losses, Seconds, TrainingReport};
-pub use lesson::{Lesson, settle_training};
-pub use memory::{Room, simulation_bytes, simulation_must_fit, training_bytes, training_must_fit};
+pub use lesson::{Lesson, calibrate_training};
+pub use memory::{
+    AvailableMemory, simulation_bytes, simulation_must_fit, training_bytes, training_must_fit,
+};
 pub use origin::{Origin, must_be_trained};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};

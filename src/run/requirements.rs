@@ -3,14 +3,14 @@
 
 use super::Lesson;
 use crate::error::Result;
-use crate::flow::{Flow, Held, Snapshot};
+use crate::flow::{Flow, MemoryReport, Snapshot};
 use crate::kernel::{Lobe, Transform};
 use crate::learn::Learner;
 use crate::models::Medium;
 use crate::recording::{Frame, Recorder};
 use crate::scene::Scene;
 use crate::sensitivity::{Gradient, Storage};
-use crate::systems::Program;
+use crate::systems::ScheduleKind;
 use crate::systems::term::Term;
 use serde::Serialize;
 
@@ -26,9 +26,9 @@ pub struct Requirements {
     /// The programs in words, and the systems of each in order.
     pub programs: Vec<(&'static str, Vec<String>)>,
     /// Columns held throughout.
-    pub held: Vec<Held>,
+    pub held: Vec<MemoryReport>,
     /// Memory that each step adds, to the tape or to the recording.
-    pub each_step: Vec<Held>,
+    pub each_step: Vec<MemoryReport>,
 }
 
 impl Requirements {
@@ -55,7 +55,7 @@ impl Requirements {
         learner.each(&mut |about, learner| {
             learner.evaluate(guess, 1)?;
             let mut found = Self::of_world(about, learner.flow_mut());
-            found.held.push(Held::new("search", "first state", (16 * D) as f64));
+            found.held.push(MemoryReport::new("search", "first state", (16 * D) as f64));
             if learner.gradient() == Gradient::Adjoint {
                 found.way_back::<D>(lesson, learner.flow_mut());
             }
@@ -64,8 +64,8 @@ impl Requirements {
         })?;
         if let Some(search) = all.first_mut() {
             let states = lesson.truth.states.len();
-            search.held.push(Held::new("truth", "states", (states * 16 * D) as f64));
-            search.held.push(Held::new("truth", "densities", (states * 8) as f64));
+            search.held.push(MemoryReport::new("truth", "states", (states * 16 * D) as f64));
+            search.held.push(MemoryReport::new("truth", "densities", (states * 8) as f64));
             let topics = [
                 ("/truth/particles", lesson.learn.every),
                 ("/learned/particles", scene.record.every),
@@ -78,11 +78,11 @@ impl Requirements {
     fn of_world<const D: usize>(about: &'static str, flow: &mut Flow<D>) -> Self {
         let named = |(program, systems)| {
             let name = match program {
-                Program::Start => "the start",
-                Program::Advance => "one step",
-                Program::Prepare => "coming back to a snapshot",
-                Program::Retreat => "the way back through one step",
-                Program::Return => "the way back through the start",
+                ScheduleKind::Start => "the start",
+                ScheduleKind::Advance => "one step",
+                ScheduleKind::Prepare => "coming back to a snapshot",
+                ScheduleKind::StepAdjoint => "the way back through one step",
+                ScheduleKind::StartAdjoint => "the way back through the start",
             };
             (name, systems)
         };
@@ -100,17 +100,21 @@ impl Requirements {
         let steps = lesson.learn.steps();
         match lesson.learn.storage {
             Storage::All => {
-                self.held.push(Held::new("tape", format!("{steps} steps"), steps as f64 * step));
+                self.held.push(MemoryReport::new(
+                    "tape",
+                    format!("{steps} steps"),
+                    steps as f64 * step,
+                ));
             }
             Storage::Checkpoints(count) => {
                 let (count, each) = (count.max(1), Snapshot::<D>::BYTES);
-                self.held.push(Held::new("tape", "one step", step));
-                let snapshots = Held::new("tape", format!("{count} snapshots"), 0.0);
-                self.held.push(Held { bytes: (count * each) as f64, ..snapshots });
+                self.held.push(MemoryReport::new("tape", "one step", step));
+                let snapshots = MemoryReport::new("tape", format!("{count} snapshots"), 0.0);
+                self.held.push(MemoryReport { bytes: (count * each) as f64, ..snapshots });
             }
             Storage::Bytes(budget) => {
                 let each = budget as f64 / lesson.truth.densities[0].len().max(1) as f64;
-                self.held.push(Held::new("tape", "one step, and snapshots", each));
+                self.held.push(MemoryReport::new("tape", "one step, and snapshots", each));
             }
         }
     }
@@ -121,11 +125,11 @@ impl Requirements {
         let topics: Vec<_> = topics.iter().filter(|(_, every)| *every > 0).collect();
         for (topic, every) in &topics {
             let row = Frame::ROW as f64 / *every as f64;
-            self.each_step.push(Held::new(part, format!("row of {topic}"), row));
+            self.each_step.push(MemoryReport::new(part, format!("row of {topic}"), row));
         }
         if !topics.is_empty() {
             let most = Recorder::MOST_BYTES as f64;
-            self.held.push(Held::new("recording", "frames on their way, at most", most));
+            self.held.push(MemoryReport::new("recording", "frames on their way, at most", most));
         }
     }
 
@@ -197,9 +201,9 @@ fn parameters_of<const D: usize>(term: &dyn Term<D>) -> Vec<String> {
 }
 
 /// Parts with their sums, and below each its columns.
-fn table(columns: &[Held]) -> Vec<String> {
+fn table(columns: &[MemoryReport]) -> Vec<String> {
     let mut lines = Vec::new();
-    for (part, sum) in Held::parts(columns) {
+    for (part, sum) in MemoryReport::parts(columns) {
         lines.push(format!("  {part:30} {sum:10.1}"));
         let own = columns.iter().filter(|column| column.part == part);
         lines.extend(own.map(|column| format!("    {:28} {:10.1}", column.name, column.bytes)));

@@ -248,7 +248,7 @@ impl<const D: usize> Training<'_, D> {
             other => other?,
         }
         // A learned equation of state can be compared with the true one.
-        let learned = flow.model().has_stress_network() && lesson.known.is_some();
+        let learned = flow.model().has_p_over_rho2_network() && lesson.known.is_some();
         let seen = lesson.truth.densities_seen();
         Ok(learned.then(|| pressure_error(&flow, &scene.fluid.constants(), seen)))
     }

@@ -1,22 +1,22 @@
 //! Eight `f64` evaluated lane by lane: the portable SIMD type.
 
 use super::wide::{reading_of, separation_of};
-use super::{Scalar, Tabulated, Wide, operators_with_f64};
+use super::{Scalar, SimdFloat, Tabulated, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Number of lanes of [`Lanes`]: one AVX-512 register of `f64`, two of AVX2, four of NEON.
+/// Number of lanes of [`F64x8`]: one AVX-512 register of `f64`, two of AVX2, four of NEON.
 pub const WIDTH: usize = 8;
 
 /// [`WIDTH`] numbers in `f64`, evaluated lane by lane: the layout in memory, the portable
-/// implementation of [`Wide`], and the oracle of the others.
+/// implementation of [`SimdFloat`], and the oracle of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
-pub struct Lanes([f64; WIDTH]);
+pub struct F64x8([f64; WIDTH]);
 
-impl Lanes {
+impl F64x8 {
     /// Zero in every lane.
     pub const ZERO: Self = Self([0.0; WIDTH]);
 
@@ -88,11 +88,11 @@ macro_rules! in_every_lane {
                 $value
             }};
         }
-        Lanes([at!(0), at!(1), at!(2), at!(3), at!(4), at!(5), at!(6), at!(7)])
+        F64x8([at!(0), at!(1), at!(2), at!(3), at!(4), at!(5), at!(6), at!(7)])
     }};
 }
 
-impl Scalar for Lanes {
+impl Scalar for F64x8 {
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([x; WIDTH])
@@ -127,7 +127,7 @@ impl Scalar for Lanes {
     }
 }
 
-impl Neg for Lanes {
+impl Neg for F64x8 {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
@@ -135,7 +135,7 @@ impl Neg for Lanes {
     }
 }
 
-impl Add for Lanes {
+impl Add for F64x8 {
     type Output = Self;
     #[inline(always)]
     fn add(self, b: Self) -> Self {
@@ -143,7 +143,7 @@ impl Add for Lanes {
     }
 }
 
-impl Sub for Lanes {
+impl Sub for F64x8 {
     type Output = Self;
     #[inline(always)]
     fn sub(self, b: Self) -> Self {
@@ -151,7 +151,7 @@ impl Sub for Lanes {
     }
 }
 
-impl Mul for Lanes {
+impl Mul for F64x8 {
     type Output = Self;
     #[inline(always)]
     fn mul(self, b: Self) -> Self {
@@ -159,7 +159,7 @@ impl Mul for Lanes {
     }
 }
 
-impl Div for Lanes {
+impl Div for F64x8 {
     type Output = Self;
     #[inline(always)]
     fn div(self, b: Self) -> Self {
@@ -167,38 +167,38 @@ impl Div for Lanes {
     }
 }
 
-impl AddAssign for Lanes {
+impl AddAssign for F64x8 {
     #[inline(always)]
     fn add_assign(&mut self, b: Self) {
         *self = *self + b;
     }
 }
 
-impl SubAssign for Lanes {
+impl SubAssign for F64x8 {
     #[inline(always)]
     fn sub_assign(&mut self, b: Self) {
         *self = *self - b;
     }
 }
 
-operators_with_f64!([] Lanes);
+operators_with_f64!([] F64x8);
 
 /// One number from each of eight particles.
 #[inline(always)]
-fn each<P>(others: [&P; WIDTH], field: impl Fn(&P) -> f64) -> Lanes {
+fn each<P>(others: [&P; WIDTH], field: impl Fn(&P) -> f64) -> F64x8 {
     in_every_lane!(|L| field(others[L]))
 }
 
-impl Wide for Lanes {
+impl SimdFloat for F64x8 {
     type Double = Self;
     type Line = Packed;
 
     #[inline(always)]
-    fn load(memory: &Lanes) -> Self {
+    fn load(memory: &F64x8) -> Self {
         *memory
     }
     #[inline(always)]
-    fn store(self) -> Lanes {
+    fn store(self) -> F64x8 {
         self
     }
     #[inline(always)]
@@ -235,10 +235,10 @@ impl Wide for Lanes {
     fn fields(lines: [&Packed; WIDTH]) -> [Self; 8] {
         let place = |axis: usize| each(lines, |p| p.position[axis]);
         let speed = |axis: usize| each(lines, |p| p.velocity[axis]);
-        let (density, stress) = (each(lines, |p| p.density), each(lines, |p| p.stress));
+        let (density, p_over_rho2) = (each(lines, |p| p.density), each(lines, |p| p.p_over_rho2));
         let [x, y, z] = [place(0), place(1), place(2)];
         let [u, v, w] = [speed(0), speed(1), speed(2)];
-        [x, y, z, u, v, w, density, stress]
+        [x, y, z, u, v, w, density, p_over_rho2]
     }
     #[inline(always)]
     fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Self; 4] {

@@ -1,6 +1,6 @@
 //! One number type for evaluation, derivatives, vectors of lanes and both precisions.
 //!
-//! A law is written once over a type parameter `T: Scalar`. `f64` evaluates it; [`Wide`] numbers
+//! A law is written once over a type parameter `T: Scalar`. `f64` evaluates it; [`SimdFloat`] numbers
 //! evaluate it on eight pairs at once, in the registers of the machine's instruction set and in
 //! either [`Precision`]; [`Dual`] numbers differentiate it; and these can be nested. Laws are
 //! branch-free (`min`, `max`, [`Scalar::select_less`]), so that every lane takes the same path.
@@ -16,13 +16,13 @@ mod wide;
 mod x86;
 
 pub use dual::Dual;
-pub use lanes::{Lanes, WIDTH};
+pub use lanes::{F64x8, WIDTH};
 pub use sift::Window;
-pub use singles::Singles;
+pub use singles::F32x8;
 pub use tabulated::Tabulated;
 pub use wide::{
-    Pass, Precision, Wide, dispatch, dispatch_by_kernel, dispatch_doubles_by_kernel, dispatch_in,
-    on_every_instruction_set, transposed,
+    Precision, SimdFloat, SimdTask, dispatch, dispatch_by_kernel, dispatch_doubles_by_kernel,
+    dispatch_in, on_every_instruction_set, transposed,
 };
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn lanes_give_the_bits_of_single_numbers() {
         let x: [f64; WIDTH] = std::array::from_fn(|l| 0.37 * l as f64 - 1.1);
-        let lanes = formula(Lanes::new(x)).to_array();
+        let lanes = formula(F64x8::new(x)).to_array();
         for (lane, x) in lanes.iter().zip(x) {
             assert_eq!(lane.to_bits(), formula(x).to_bits());
         }
@@ -177,13 +177,13 @@ mod tests {
 
     /// Sixty-four numbers given as columns, to be transposed to rows.
     #[derive(Clone)]
-    struct Rows([Lanes; WIDTH]);
+    struct Rows([F64x8; WIDTH]);
 
-    impl Pass for Rows {
+    impl SimdTask for Rows {
         type Output = Vec<[f64; WIDTH]>;
 
         #[inline(always)]
-        fn run<W: Wide>(self) -> Self::Output {
+        fn run<W: SimdFloat>(self) -> Self::Output {
             transposed::<W>(&self.0).iter().map(|row| row.store().to_array()).collect()
         }
     }
@@ -192,7 +192,7 @@ mod tests {
     fn columns_become_rows_on_every_instruction_set() {
         let number = |row: usize, column: usize| (10 * row + column) as f64;
         let columns =
-            Rows(std::array::from_fn(|c| Lanes::new(std::array::from_fn(|r| number(r, c)))));
+            Rows(std::array::from_fn(|c| F64x8::new(std::array::from_fn(|r| number(r, c)))));
         for (name, rows) in on_every_instruction_set(Precision::Double, &columns) {
             for (r, row) in rows.iter().enumerate() {
                 let expected: [f64; WIDTH] = std::array::from_fn(|c| number(r, c));

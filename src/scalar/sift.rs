@@ -1,4 +1,4 @@
-//! Portable forms of the operations of [`Wide`](super::Wide) in neighbour searches: which of
+//! Portable forms of the operations of [`SimdFloat`](super::Wide) in neighbour searches: which of
 //! sixteen places are near, and the compression of masked elements.
 
 use super::WIDTH;
@@ -21,7 +21,7 @@ pub(super) const LANES_OF: [[u8; WIDTH]; 256] = {
     table
 };
 
-/// Half of [`Wide::compress`], by a table.
+/// Half of [`SimdFloat::compress`], by a table.
 #[inline(always)]
 fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
@@ -29,7 +29,7 @@ fn compress_by_table(mask: u8, first: u32, kept: &mut [u32; WIDTH]) {
     }
 }
 
-/// [`Wide::near`] place by place.
+/// [`SimdFloat::near`] place by place.
 #[inline(always)]
 pub(super) fn near_by_loop<C: AsRef<[i32]>, const D: usize>(
     columns: &[C; D],
@@ -95,7 +95,7 @@ fn sum_of_squares(halves: [i16; 2]) -> u32 {
     a * a + b * b
 }
 
-/// [`Wide::gather`] place by place.
+/// [`SimdFloat::gather`] place by place.
 #[inline(always)]
 pub(super) fn gather_by_loop<C: AsRef<[i32]>, const D: usize>(
     columns: &[C; D],
@@ -133,7 +133,7 @@ pub(super) fn gather_by_loop<C: AsRef<[i32]>, const D: usize>(
     mask
 }
 
-/// [`Wide::within`] place by place.
+/// [`SimdFloat::within`] place by place.
 #[inline(always)]
 pub(super) fn within_by_loop(
     [xy, zt]: [&[u32; 2 * WIDTH]; 2],
@@ -154,7 +154,7 @@ pub(super) fn within_by_loop(
     masks
 }
 
-/// [`Wide::keep_tags`] place by place.
+/// [`SimdFloat::keep_tags`] place by place.
 #[inline(always)]
 pub(super) fn keep_tags_by_loop(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut [u16; 2 * WIDTH]) {
     let mut next = 0;
@@ -165,7 +165,7 @@ pub(super) fn keep_tags_by_loop(mask: u16, words: &[u32; 2 * WIDTH], kept: &mut 
     }
 }
 
-/// [`Wide::keep_slots`] by a table.
+/// [`SimdFloat::keep_slots`] by a table.
 #[inline(always)]
 pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u32; WIDTH]) {
     for (kept, &lane) in kept.iter_mut().zip(&LANES_OF[usize::from(mask)]) {
@@ -173,7 +173,7 @@ pub(super) fn keep_slots_by_table(mask: u8, slots: &[u32; WIDTH], kept: &mut [u3
     }
 }
 
-/// [`Wide::compress`] by a table.
+/// [`SimdFloat::compress`] by a table.
 #[inline(always)]
 pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]) {
     let [low, high] = mask.to_le_bytes();
@@ -188,7 +188,7 @@ pub(super) fn compress_in_two(mask: u16, first: u32, kept: &mut [u32; 2 * WIDTH]
 #[cfg(test)]
 mod tests {
     use super::Window;
-    use crate::scalar::{Lanes, Pass, Precision, WIDTH, Wide, on_every_instruction_set};
+    use crate::scalar::{F64x8, Precision, SimdFloat, SimdTask, WIDTH, on_every_instruction_set};
 
     /// All operations on sixteen places, applied to a few columns of them.
     #[derive(Clone)]
@@ -197,11 +197,11 @@ mod tests {
         slots: &'a [u32; 2 * WIDTH],
     }
 
-    impl Pass for Sift<'_> {
+    impl SimdTask for Sift<'_> {
         type Output = (Vec<u16>, Vec<u32>, Vec<u32>);
 
         #[inline(always)]
-        fn run<W: Wide>(self) -> Self::Output {
+        fn run<W: SimdFloat>(self) -> Self::Output {
             let Self { columns, slots } = self;
             let (mut masks, mut places, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
             for first in 0..2 * WIDTH {
@@ -239,7 +239,7 @@ mod tests {
                     W::keep_slots(mask as u8, eight, &mut some);
                     numbers.extend(&some[..(mask as u8).count_ones() as usize]);
                 }
-                let mut lanes = Lanes::ZERO;
+                let mut lanes = F64x8::ZERO;
                 (0..WIDTH).for_each(|l| lanes.set_lane(l, f64::from(columns[0][first + l] >> 30)));
                 lanes.set_lane(first % WIDTH, f64::NAN);
                 masks.push(u16::from(W::load(&lanes).nonzero()));

@@ -2,7 +2,7 @@
 //! on NEON.
 
 use super::wide::{FAR, unit};
-use super::{Lanes, Scalar, Tabulated, WIDTH, Wide, operators_with_f64};
+use super::{F64x8, Scalar, SimdFloat, Tabulated, WIDTH, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -12,10 +12,10 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 /// inverse far from overflow.
 pub(super) const SMALLEST_SINGLE: f64 = 1e-30;
 
-/// [`WIDTH`] numbers in `f32`, as [`Lanes`] are in `f64`.
+/// [`WIDTH`] numbers in `f32`, as [`F64x8`] are in `f64`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
-pub struct Singles(pub(super) [f32; WIDTH]);
+pub struct F32x8(pub(super) [f32; WIDTH]);
 
 /// The same expression in every lane.
 macro_rules! in_every_lane {
@@ -24,11 +24,11 @@ macro_rules! in_every_lane {
         for ($lane, lane) in lanes.iter_mut().enumerate() {
             *lane = $value;
         }
-        Singles(lanes)
+        F32x8(lanes)
     }};
 }
 
-impl Scalar for Singles {
+impl Scalar for F32x8 {
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([x as f32; WIDTH])
@@ -74,7 +74,7 @@ impl Scalar for Singles {
 
 macro_rules! lane_by_lane {
     ($($operator:ident $method:ident $symbol:tt;)*) => {$(
-        impl $operator for Singles {
+        impl $operator for F32x8 {
             type Output = Self;
             #[inline(always)]
             fn $method(self, b: Self) -> Self {
@@ -91,7 +91,7 @@ lane_by_lane! {
     Div div /;
 }
 
-impl Neg for Singles {
+impl Neg for F32x8 {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
@@ -99,40 +99,40 @@ impl Neg for Singles {
     }
 }
 
-impl AddAssign for Singles {
+impl AddAssign for F32x8 {
     #[inline(always)]
     fn add_assign(&mut self, b: Self) {
         *self = *self + b;
     }
 }
 
-impl SubAssign for Singles {
+impl SubAssign for F32x8 {
     #[inline(always)]
     fn sub_assign(&mut self, b: Self) {
         *self = *self - b;
     }
 }
 
-operators_with_f64!([] Singles);
+operators_with_f64!([] F32x8);
 
-impl Wide for Singles {
-    type Double = Lanes;
+impl SimdFloat for F32x8 {
+    type Double = F64x8;
     type Line = PackedSingle;
 
     #[inline(always)]
-    fn load(memory: &Lanes) -> Self {
+    fn load(memory: &F64x8) -> Self {
         Self::narrow(*memory)
     }
     #[inline(always)]
-    fn store(self) -> Lanes {
+    fn store(self) -> F64x8 {
         self.widen()
     }
     #[inline(always)]
-    fn widen(self) -> Lanes {
-        Lanes::new(self.0.map(f64::from))
+    fn widen(self) -> F64x8 {
+        F64x8::new(self.0.map(f64::from))
     }
     #[inline(always)]
-    fn narrow(wide: Lanes) -> Self {
+    fn narrow(wide: F64x8) -> Self {
         let doubles = wide.to_array();
         in_every_lane!(|l| doubles[l] as f32)
     }
@@ -172,17 +172,17 @@ impl Wide for Singles {
             velocity,
             rho_i: here.density.into(),
             density: in_every_lane!(|l| others[l].density.abs()),
-            stress_i: here.stress.into(),
-            stress: in_every_lane!(|l| others[l].stress),
+            p_over_rho2_i: here.p_over_rho2.into(),
+            p_over_rho2: in_every_lane!(|l| others[l].p_over_rho2),
         }
     }
     #[inline(always)]
-    fn fields(lines: [&Packed; WIDTH]) -> [Lanes; 8] {
-        Lanes::fields(lines)
+    fn fields(lines: [&Packed; WIDTH]) -> [F64x8; 8] {
+        F64x8::fields(lines)
     }
     #[inline(always)]
-    fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [Lanes; 4] {
-        Lanes::adjoints(others)
+    fn adjoints(others: [&PackedAdjoint; WIDTH]) -> [F64x8; 4] {
+        F64x8::adjoints(others)
     }
 
     #[inline(always)]
@@ -195,6 +195,6 @@ impl Wide for Singles {
     }
     #[inline(always)]
     fn power_of_two(shifted: Self) -> Self {
-        Self::narrow(Lanes::power_of_two(shifted.widen()))
+        Self::narrow(F64x8::power_of_two(shifted.widen()))
     }
 }

@@ -1,6 +1,6 @@
 //! Tabulated functions, evaluated at any [`Scalar`](super::Scalar).
 
-use super::{Lanes, WIDTH};
+use super::{F64x8, WIDTH};
 
 /// A tabulated function of one argument with its derivatives, which
 /// [`Scalar::tabulated`](super::Scalar::tabulated) evaluates.
@@ -13,8 +13,8 @@ pub trait Tabulated {
     /// loop that may evaluate a table.
     #[cold]
     #[inline(never)]
-    fn at_eight<const N: usize>(&self, x: &Lanes, order: usize) -> [Lanes; N] {
-        let mut found = [Lanes::ZERO; N];
+    fn at_eight<const N: usize>(&self, x: &F64x8, order: usize) -> [F64x8; N] {
+        let mut found = [F64x8::ZERO; N];
         for lane in 0..WIDTH {
             let derivatives = self.at::<N>(x.lane(lane), order);
             for (found, derivative) in found.iter_mut().zip(derivatives) {

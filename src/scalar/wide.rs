@@ -4,7 +4,7 @@ use super::sift::{
     Window, compress_in_two, gather_by_loop, keep_slots_by_table, keep_tags_by_loop, near_by_loop,
     within_by_loop,
 };
-use super::{Lanes, Scalar, WIDTH};
+use super::{F64x8, Scalar, WIDTH};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -39,20 +39,20 @@ impl Precision {
 }
 
 /// [`WIDTH`] numbers in registers of one instruction set: the type in which a law is evaluated. In
-/// memory they are [`Lanes`].
+/// memory they are [`F64x8`].
 ///
 /// No operation is fused or reordered, so that every implementation in `f64` gives the same bits as
-/// [`Lanes`], the portable one (`tests/precision.rs`).
-pub trait Wide: Scalar {
+/// [`F64x8`], the portable one (`tests/precision.rs`).
+pub trait SimdFloat: Scalar {
     /// `f64` numbers of the same instruction set.
-    type Double: Wide<Double = Self::Double>;
+    type Double: SimdFloat<Double = Self::Double>;
     /// A packed particle in this precision.
     type Line: Copy + Send + Sync;
 
     /// Loads eight `f64`, rounded in single precision.
-    fn load(memory: &Lanes) -> Self;
+    fn load(memory: &F64x8) -> Self;
     /// Stores them to memory.
-    fn store(self) -> Lanes;
+    fn store(self) -> F64x8;
     /// Converts to `f64`.
     fn widen(self) -> Self::Double;
     /// Converts from `f64`, rounded in single precision.
@@ -145,9 +145,9 @@ pub trait Wide: Scalar {
     fn fetch(line: &Self::Line) {
         let _ = line;
     }
-    /// As [`Wide::fetch`], for columns of parameters. Only for `f64`.
+    /// As [`SimdFloat::fetch`], for columns of parameters. Only for `f64`.
     #[inline(always)]
-    fn fetch_columns(columns: &[Lanes]) {
+    fn fetch_columns(columns: &[F64x8]) {
         let _ = columns;
     }
     /// Writes `first + l` for every bit `l` of a mask, in order, to the front of `kept`. The other
@@ -165,24 +165,24 @@ pub trait Wide: Scalar {
 }
 
 /// A computation that runs in the widest registers of the machine.
-pub trait Pass: Sized {
+pub trait SimdTask: Sized {
     /// Its result.
     type Output;
 
     /// Runs it. This must be `#[inline(always)]`, and so must everything that it calls in its
     /// loops.
-    fn run<W: Wide>(self) -> Self::Output;
+    fn run<W: SimdFloat>(self) -> Self::Output;
 }
 
 /// Runs a pass in double precision, with the widest instructions of this machine.
 #[inline]
-pub fn dispatch<P: Pass>(pass: P) -> P::Output {
+pub fn dispatch<P: SimdTask>(pass: P) -> P::Output {
     run_doubles(Arch::new(), pass)
 }
 
 /// Runs a pass in a given precision, with the widest instructions of this machine.
 #[inline]
-pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
+pub fn dispatch_in<P: SimdTask>(precision: Precision, pass: P) -> P::Output {
     run_on(Arch::new(), precision, pass)
 }
 
@@ -190,14 +190,14 @@ pub fn dispatch_in<P: Pass>(precision: Precision, pass: P) -> P::Output {
 /// table](crate::kernel::Kernel::is_table) runs with instructions for which registers have
 /// [`Scalar::TABLES`]. The result has the same bits.
 #[inline]
-pub fn dispatch_by_kernel<P: Pass>(is_table: bool, precision: Precision, pass: P) -> P::Output {
+pub fn dispatch_by_kernel<P: SimdTask>(is_table: bool, precision: Precision, pass: P) -> P::Output {
     run_on(arch_for(is_table), precision, pass)
 }
 
 /// As [`dispatch_by_kernel`], in double precision. A pass that never runs in `f32` is not compiled
 /// for it.
 #[inline]
-pub fn dispatch_doubles_by_kernel<P: Pass>(is_table: bool, pass: P) -> P::Output {
+pub fn dispatch_doubles_by_kernel<P: SimdTask>(is_table: bool, pass: P) -> P::Output {
     run_doubles(arch_for(is_table), pass)
 }
 
@@ -208,13 +208,13 @@ fn arch_for(is_table: bool) -> Arch {
 
 /// Runs a pass with every instruction set of this machine, the portable one first, so that tests
 /// can assert that all give the same bits.
-pub fn on_every_instruction_set<P: Pass + Clone>(
+pub fn on_every_instruction_set<P: SimdTask + Clone>(
     precision: Precision,
     pass: &P,
 ) -> Vec<(&'static str, P::Output)> {
     let plain = match precision {
-        Precision::Double => pass.clone().run::<Lanes>(),
-        Precision::Mixed => pass.clone().run::<super::Singles>(),
+        Precision::Double => pass.clone().run::<F64x8>(),
+        Precision::Mixed => pass.clone().run::<super::F32x8>(),
     };
     let mut found = vec![("plain", plain)];
     #[cfg(target_arch = "x86_64")]
@@ -233,7 +233,7 @@ pub fn on_every_instruction_set<P: Pass + Clone>(
 }
 
 #[inline]
-fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
+fn run_on<P: SimdTask>(arch: Arch, precision: Precision, pass: P) -> P::Output {
     match precision {
         Precision::Double => run_doubles(arch, pass),
         Precision::Mixed => run_singles(arch, pass),
@@ -241,30 +241,30 @@ fn run_on<P: Pass>(arch: Arch, precision: Precision, pass: P) -> P::Output {
 }
 
 #[inline]
-fn run_doubles<P: Pass>(arch: Arch, pass: P) -> P::Output {
+fn run_doubles<P: SimdTask>(arch: Arch, pass: P) -> P::Output {
     match arch {
         #[cfg(target_arch = "x86_64")]
-        Arch::V4(simd) => simd.vectorize(On::<super::x86::Lanes512, P>::new(pass)),
+        Arch::V4(simd) => simd.vectorize(On::<super::x86::F64x8Avx512, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        Arch::V3(simd) => simd.vectorize(On::<super::x86::Lanes256, P>::new(pass)),
+        Arch::V3(simd) => simd.vectorize(On::<super::x86::F64x8Avx2, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        _ => pass.run::<super::x86::Lanes128>(),
+        _ => pass.run::<super::x86::F64x8Sse2>(),
         #[cfg(not(target_arch = "x86_64"))]
-        plain => plain.dispatch(On::<Lanes, P>::new(pass)),
+        plain => plain.dispatch(On::<F64x8, P>::new(pass)),
     }
 }
 
 #[inline]
-fn run_singles<P: Pass>(arch: Arch, pass: P) -> P::Output {
+fn run_singles<P: SimdTask>(arch: Arch, pass: P) -> P::Output {
     match arch {
         #[cfg(target_arch = "x86_64")]
-        Arch::V4(simd) => simd.vectorize(On::<super::x86::SinglesOn512, P>::new(pass)),
+        Arch::V4(simd) => simd.vectorize(On::<super::x86::F32x8On512, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        Arch::V3(simd) => simd.vectorize(On::<super::x86::SinglesOn256, P>::new(pass)),
+        Arch::V3(simd) => simd.vectorize(On::<super::x86::F32x8On256, P>::new(pass)),
         #[cfg(target_arch = "x86_64")]
-        _ => pass.run::<super::x86::Singles128>(),
+        _ => pass.run::<super::x86::F32x8Sse2>(),
         #[cfg(not(target_arch = "x86_64"))]
-        plain => plain.dispatch(On::<super::Singles, P>::new(pass)),
+        plain => plain.dispatch(On::<super::F32x8, P>::new(pass)),
     }
 }
 
@@ -281,7 +281,7 @@ impl<W, P> On<W, P> {
     }
 }
 
-impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
+impl<W: SimdFloat, P: SimdTask> pulp::NullaryFnOnce for On<W, P> {
     type Output = P::Output;
 
     #[inline(always)]
@@ -292,7 +292,7 @@ impl<W: Wide, P: Pass> pulp::NullaryFnOnce for On<W, P> {
 
 /// Transposes eight columns of eight numbers.
 #[inline(always)]
-pub fn transposed<W: Wide>(columns: &[Lanes; WIDTH]) -> [W::Double; WIDTH] {
+pub fn transposed<W: SimdFloat>(columns: &[F64x8; WIDTH]) -> [W::Double; WIDTH] {
     let [a, b, c, d, e, f, g, h] = columns;
     W::fields([
         &line_of(a),
@@ -308,17 +308,17 @@ pub fn transposed<W: Wide>(columns: &[Lanes; WIDTH]) -> [W::Double; WIDTH] {
 
 /// Eight numbers in the fields of a particle.
 #[inline(always)]
-fn line_of(numbers: &Lanes) -> Packed {
-    let [x, y, z, u, v, w, density, stress] = numbers.to_array();
-    Packed { position: [x, y, z], velocity: [u, v, w], density, stress }
+fn line_of(numbers: &F64x8) -> Packed {
+    let [x, y, z, u, v, w, density, p_over_rho2] = numbers.to_array();
+    Packed { position: [x, y, z], velocity: [u, v, w], density, p_over_rho2 }
 }
 
 /// The [`Reading`] of eight neighbours from the eight fields of their lines, for implementations in
 /// `f64`.
 #[inline(always)]
-pub(super) fn reading_of<W: Wide, const D: usize>(
+pub(super) fn reading_of<W: SimdFloat, const D: usize>(
     here: &Packed,
-    [x, y, z, u, v, w, density, stress]: [W; 8],
+    [x, y, z, u, v, w, density, p_over_rho2]: [W; 8],
     space: Surroundings,
 ) -> Reading<W, D> {
     let mut velocity = Vector::zero();
@@ -326,12 +326,19 @@ pub(super) fn reading_of<W: Wide, const D: usize>(
         velocity[axis] = W::of(here.velocity[axis]) - there;
     }
     let separation = separation_of(here, [x, y, z], space);
-    Reading { separation, velocity, rho_i: here.density, density, stress_i: here.stress, stress }
+    Reading {
+        separation,
+        velocity,
+        rho_i: here.density,
+        density,
+        p_over_rho2_i: here.p_over_rho2,
+        p_over_rho2,
+    }
 }
 
 /// `rᵢⱼ` from the coordinates of eight particles, for implementations in `f64`.
 #[inline(always)]
-pub(super) fn separation_of<W: Wide, const D: usize>(
+pub(super) fn separation_of<W: SimdFloat, const D: usize>(
     here: &Packed,
     there: [W; 3],
     space: Surroundings,

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Speed {
     /// To look at a flow.
-    Draft,
+    ListBuilder,
     /// To measure it.
     Balanced,
     /// To compare others with it.
@@ -25,12 +25,12 @@ pub enum Speed {
 
 impl Speed {
     /// All of them, the fastest first.
-    pub const ALL: [Self; 3] = [Self::Draft, Self::Balanced, Self::Exact];
+    pub const ALL: [Self; 3] = [Self::ListBuilder, Self::Balanced, Self::Exact];
 
     /// The accuracy in smoothing lengths.
     pub fn accuracy(self) -> f64 {
         match self {
-            Self::Draft => 1e-2,
+            Self::ListBuilder => 1e-2,
             Self::Balanced => 2e-3,
             Self::Exact => 1e-4,
         }
@@ -39,7 +39,7 @@ impl Speed {
     /// Its name in scenes.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Draft => "draft",
+            Self::ListBuilder => "draft",
             Self::Balanced => "balanced",
             Self::Exact => "exact",
         }
@@ -49,7 +49,7 @@ impl Speed {
 /// The result of a calibration. A scene that contains it runs as it is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Chosen {
+pub struct CalibratedStep {
     /// The requested accuracy.
     pub accuracy: f64,
     /// Kind of step.
@@ -63,7 +63,7 @@ pub struct Chosen {
     pub error: f64,
 }
 
-impl std::fmt::Display for Chosen {
+impl std::fmt::Display for CalibratedStep {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { accuracy, step, dt, cost, error } = self;
         let step = step.name();

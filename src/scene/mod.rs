@@ -13,7 +13,7 @@ mod guests;
 mod learn;
 mod read;
 
-pub use accuracy::{Chosen, Speed};
+pub use accuracy::{CalibratedStep, Speed};
 pub(crate) use check::Requirement;
 pub use guests::{Guests, Values};
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
@@ -51,7 +51,7 @@ pub struct Scene {
     pub precision: Precision,
     /// Requested accuracy: distance of particles from a much finer run after twenty steps, in
     /// smoothing lengths (root mean square). Kind of step and time step are then chosen, see
-    /// [`crate::trade::settle`].
+    /// [`crate::trade::calibrate_step`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<f64>,
     /// The same by name.
@@ -59,7 +59,7 @@ pub struct Scene {
     pub speed: Option<Speed>,
     /// The chosen step, if any: written by the run, not by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub chosen: Option<Chosen>,
+    pub chosen: Option<CalibratedStep>,
     /// The fluid and its law.
     pub fluid: Fluid,
     /// The initial state.

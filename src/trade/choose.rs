@@ -3,7 +3,7 @@
 use super::flows::End;
 use crate::error::{Error, Result};
 use crate::flow::State;
-use crate::scene::{Chosen, Scene};
+use crate::scene::{CalibratedStep, Scene};
 use crate::systems::verlet::Step;
 
 /// Length of the calibration, in steps of the scene.
@@ -57,7 +57,7 @@ pub struct Choice {
 ///
 /// # Errors
 /// Those of `start` and of [`choose`].
-pub fn settle<const D: usize>(
+pub fn calibrate_step<const D: usize>(
     scene: &Scene,
     start: impl FnOnce(&Scene) -> Result<State<D>>,
 ) -> Result<Choice> {
@@ -87,7 +87,7 @@ pub fn choose<const D: usize>(scene: &Scene, state: &State<D>, accuracy: f64) ->
     fine.time.dt = Some(own.dt() / FINER as f64);
     let reference = End::of(&fine, state, CALIBRATION * FINER)?;
     let mut trials: Vec<Trial> = Vec::new();
-    let mut chosen: Option<(Chosen, Scene)> = None;
+    let mut chosen: Option<(CalibratedStep, Scene)> = None;
     for Candidate { scene: other, steps, cost } in candidates(&own) {
         if chosen.as_ref().is_some_and(|(chosen, _)| cost > chosen.cost) {
             break;
@@ -99,7 +99,7 @@ pub fn choose<const D: usize>(scene: &Scene, state: &State<D>, accuracy: f64) ->
         let best = chosen.as_ref().map_or(accuracy, |(chosen, _)| chosen.error);
         // Of equal cost, the most accurate.
         if error < best || error <= accuracy && chosen.is_none() {
-            chosen = Some((Chosen { accuracy, step, dt, cost, error }, other));
+            chosen = Some((CalibratedStep { accuracy, step, dt, cost, error }, other));
         }
     }
     trials.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.error.total_cmp(&b.error)));
@@ -197,7 +197,8 @@ mod tests {
     fn a_speed_is_an_accuracy_by_name() {
         for speed in Speed::ALL {
             let (scene, state) = small(&[&format!("speed={}", speed.name())]);
-            let settled = settle(&scene, |_| Ok(state.clone())).unwrap_or_else(|e| panic!("{e}"));
+            let settled =
+                calibrate_step(&scene, |_| Ok(state.clone())).unwrap_or_else(|e| panic!("{e}"));
             let named = choose(&scene.as_written(), &state, speed.accuracy());
             let named = named.unwrap_or_else(|e| panic!("{e}"));
             assert_eq!(settled.scene.chosen, named.scene.chosen);
@@ -210,12 +211,12 @@ mod tests {
     fn a_scene_that_asks_for_nothing_or_was_chosen_for_runs_as_it_stands() {
         let never = |_: &Scene| -> Result<State<2>> { panic!("nothing is to be calibrated") };
         let (scene, state) = small(&[]);
-        let choice = settle(&scene, never).unwrap_or_else(|e| panic!("{e}"));
+        let choice = calibrate_step(&scene, never).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((&choice.scene, choice.trials.len()), (&scene, 0));
         let (asking, _) = small(&["accuracy=1e-2"]);
-        let first = settle(&asking, |_| Ok(state)).unwrap_or_else(|e| panic!("{e}"));
+        let first = calibrate_step(&asking, |_| Ok(state)).unwrap_or_else(|e| panic!("{e}"));
         assert!(!first.trials.is_empty());
-        let again = settle::<2>(&first.scene, never).unwrap_or_else(|e| panic!("{e}"));
+        let again = calibrate_step::<2>(&first.scene, never).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(again.scene, first.scene);
         let text = first.scene.to_toml();
         let read = Scene::parse(&text, "recorded", &[]).unwrap_or_else(|e| panic!("{text}: {e}"));

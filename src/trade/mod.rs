@@ -12,7 +12,7 @@ mod knobs;
 mod learned;
 mod tables;
 
-pub use choose::{CALIBRATION, Choice, Trial, choose, settle};
+pub use choose::{CALIBRATION, Choice, Trial, calibrate_step, choose};
 pub use flows::{FINER, FlowErrors, FlowPrice, distance, fine, price_flows};
 pub use gradients::{GradientPrice, price_gradients};
 pub use knobs::{Effect, Setting};

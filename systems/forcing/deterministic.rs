@@ -1,6 +1,6 @@
 //! Deterministic forcing: injects energy at a constant rate, `f = (θ/E)(v − v̄)`.
 
-use crate::cells::FEWEST;
+use crate::cells::MIN_PARALLEL_LEN;
 use crate::forcing::{EnergyInjection, Power};
 use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::CHUNK;
@@ -86,7 +86,7 @@ fn force_deterministically<const D: usize>(
 ) {
     let injection = forcing.now(&cloud);
     let Cloud { packed, acceleration, .. } = &mut *cloud;
-    let lines = acceleration.par_iter_mut().zip(packed).with_min_len(FEWEST);
+    let lines = acceleration.par_iter_mut().zip(packed).with_min_len(MIN_PARALLEL_LEN);
     lines.for_each(|(a, p)| *a += injection.force(p.velocity));
     forcing.law = Some(injection);
 }

@@ -2,7 +2,7 @@
 
 use crate::forcing::ornstein_uhlenbeck::{OrnsteinUhlenbeck, Settings};
 use crate::pairs::CHUNK;
-use crate::scalar::Lanes;
+use crate::scalar::F64x8;
 use crate::scene::Scene;
 use crate::sensitivity::Coupling;
 use crate::systems::acceleration::Laws;
@@ -102,7 +102,7 @@ fn force_by_waves_tangent<const D: usize>(
     let each = 1.0 / cloud.len().max(1) as f64;
     for block in &mut sensitivities.blocks {
         let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
-        let changes: Vec<Vector<Lanes, D>> =
+        let changes: Vec<Vector<F64x8, D>> =
             lines.map(|(change, p)| waves.tangent(p.position, change.position)).collect();
         let mut mean = Vector::zero();
         if full {

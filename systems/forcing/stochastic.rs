@@ -2,7 +2,7 @@
 
 use crate::forcing::{Mode, draw_stochastic_modes};
 use crate::pairs::CHUNK;
-use crate::scalar::Lanes;
+use crate::scalar::F64x8;
 use crate::systems::acceleration::Laws;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{AdjointCloud, Cloud, SensitivityCloud};
@@ -67,11 +67,11 @@ impl StochasticForcing {
     fn tangent<const D: usize>(
         &self,
         position: [f64; 3],
-        change: Vector<Lanes, D>,
-    ) -> Vector<Lanes, D> {
+        change: Vector<F64x8, D>,
+    ) -> Vector<F64x8, D> {
         let mut force = Vector::zero();
         for mode in &self.modes {
-            let mut angle = Lanes::ZERO;
+            let mut angle = F64x8::ZERO;
             (0..D).for_each(|axis| angle += change[axis] * mode.k[axis]);
             let wave = angle * (-self.strength * mode.angle(position).sin());
             (0..D).for_each(|axis| force[axis] += wave * mode.amplitude[axis]);
@@ -137,7 +137,7 @@ fn force_stochastically_tangent<const D: usize>(
     let each = 1.0 / cloud.len().max(1) as f64;
     for block in &mut sensitivities.blocks {
         let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
-        let changes: Vec<Vector<Lanes, D>> =
+        let changes: Vec<Vector<F64x8, D>> =
             lines.map(|(change, p)| forcing.tangent(p.position, change.position)).collect();
         let mut mean = Vector::zero();
         if full {

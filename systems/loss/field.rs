@@ -6,7 +6,7 @@ use crate::losses::{
     DirectParameter, Points, StateAdjoint, field, field_adjoint, field_loss, field_value,
 };
 use crate::models::FluidConstants;
-use crate::scalar::Lanes;
+use crate::scalar::F64x8;
 use crate::systems::particles::SensitivityBlock;
 use crate::vector::Vector;
 
@@ -56,7 +56,7 @@ impl<const D: usize> FrameLoss<D> for FieldLoss {
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let truth = (&seen.frame.field[..], weight(seen));
         let fields = if blocks.is_empty() { Vec::new() } else { by_kernel(seen) };
-        let directions: Vec<Vec<Lanes>> = fields
+        let directions: Vec<Vec<F64x8>> = fields
             .iter()
             .map(|(place, _)| blocks.iter().map(|block| block.direction(*place)).collect())
             .collect();

@@ -13,7 +13,7 @@ use std::hint::black_box;
 use std::time::Instant;
 use whirls::losses::Density1d;
 use whirls::network::{Cotangents, Network, Workspace};
-use whirls::scalar::{Lanes, Pass, Scalar, WIDTH, Wide, dispatch};
+use whirls::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch};
 
 /// Inputs, units of each hidden layer and outputs of the models with a network.
 const SHAPES: [(&str, [usize; 3]); 5] = [
@@ -51,22 +51,22 @@ enum After {
 struct Work<'a> {
     network: &'a Network,
     parameters: &'a [f64],
-    input: &'a [Lanes],
+    input: &'a [F64x8],
     after: After,
     rounds: usize,
 }
 
-impl Pass for Work<'_> {
+impl SimdTask for Work<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Self { network, parameters, input, after, rounds } = self;
         let mut workspace = Workspace::new(network);
-        let mut by_input = vec![Lanes::ZERO; network.inputs()];
-        let mut by_parameter = vec![Lanes::ZERO; network.parameter_count()];
-        let mut jacobian = vec![Lanes::ZERO; network.inputs() * network.outputs()];
-        let cotangent = vec![Lanes::of(1.0); network.outputs()];
+        let mut by_input = vec![F64x8::ZERO; network.inputs()];
+        let mut by_parameter = vec![F64x8::ZERO; network.parameter_count()];
+        let mut jacobian = vec![F64x8::ZERO; network.inputs() * network.outputs()];
+        let cotangent = vec![F64x8::of(1.0); network.outputs()];
         for _ in 0..rounds {
             black_box(network.value::<W>(parameters, black_box(input), &mut workspace));
             match after {
@@ -98,8 +98,8 @@ fn print_network(
     let network = Network::new(inputs, height, outputs).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(9);
     let parameters = network.initial(&mut random);
-    let mut lanes = || Lanes::new(std::array::from_fn(|_| 4.0 * random.random::<f64>() - 2.0));
-    let input: Vec<Lanes> = (0..inputs).map(|_| lanes()).collect();
+    let mut lanes = || F64x8::new(std::array::from_fn(|_| 4.0 * random.random::<f64>() - 2.0));
+    let input: Vec<F64x8> = (0..inputs).map(|_| lanes()).collect();
     let times = [After::Nothing, After::Pullback, After::Jacobian, After::Weights].map(|after| {
         let each = work / network.parameter_count();
         median((0..rounds).map(|_| {

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use whirls::models::Medium;
 use whirls::pairs::Pair;
 use whirls::scalar::{
-    Lanes, Pass, Precision, Scalar, WIDTH, Wide, dispatch_in, on_every_instruction_set,
+    F64x8, Precision, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_in, on_every_instruction_set,
 };
 use whirls::space::PeriodicBox;
 use whirls::systems::Phase;
@@ -83,11 +83,11 @@ struct TimedFloor<'a> {
     rounds: usize,
 }
 
-impl Pass for TimedFloor<'_> {
+impl SimdTask for TimedFloor<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> f64 {
+    fn run<W: SimdFloat>(self) -> f64 {
         let clock = Instant::now();
         black_box(Floor { medium: self.medium, rounds: self.rounds }.run::<W>());
         1e9 * clock.elapsed().as_secs_f64() / (self.rounds * WIDTH) as f64
@@ -153,7 +153,7 @@ impl Contestant {
         flow.world_mut().insert_resource(Search { began: Instant::now(), took: Duration::ZERO });
         flow.schedule_mut()
             .add_systems(begin_search.after(Phase::Drift).before(Phase::Neighbours))
-            .add_systems(end_search.after(Phase::Visible).before(Phase::Density));
+            .add_systems(end_search.after(Phase::Pack).before(Phase::Density));
         (0..20).for_each(|_| flow.step().unwrap());
         let neighbours = flow.neighbours_per_particle();
         Self { particles: scene.particles(), scene, flow, neighbours }
@@ -252,22 +252,22 @@ struct Floor<'a> {
     rounds: usize,
 }
 
-impl Pass for Floor<'_> {
+impl SimdTask for Floor<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn run<W: Wide>(self) -> f64 {
+    fn run<W: SimdFloat>(self) -> f64 {
         let h = self.medium.smoothing.h;
         let space = PeriodicBox { length: 20.0 * h };
         let spread = |base: f64, by: f64| {
-            let mut lanes = Lanes::ZERO;
+            let mut lanes = F64x8::ZERO;
             (0..WIDTH).for_each(|l| lanes.set_lane(l, base + by * l as f64));
             W::load(&black_box(lanes))
         };
         let mut there =
             Vector([spread(0.1 * h, 0.2 * h), spread(0.2 * h, 0.1 * h), spread(-0.5 * h, 0.1 * h)]);
         let speed = Vector([spread(0.3, -0.1), spread(-0.2, 0.1), spread(0.1, 0.05)]);
-        let (rho, stress) = (spread(1.0, 0.01), spread(2.0, 0.1));
+        let (rho, p_over_rho2) = (spread(1.0, 0.01), spread(2.0, 0.1));
         let (here, moves, drift) = (W::of(black_box(0.0)), W::of(black_box(0.1)), W::of(1e-7 * h));
         let (mut density, mut force) = (W::Double::of(0.0), Vector::<W::Double, 3>::zero());
         for _ in 0..self.rounds {
@@ -281,8 +281,8 @@ impl Pass for Floor<'_> {
             density += self.medium.smoothing.value(r.norm_squared().sqrt()).widen();
             // Different distances, because the compiler would compute equal roots once.
             let pair =
-                Pair { r2: r.norm_squared() + drift, approach: v.dot(r), rho_i: rho, rho_j: rho };
-            let along = r * self.medium.strength(&pair, stress + stress);
+                Pair { r2: r.norm_squared() + drift, v_dot_r: v.dot(r), rho_i: rho, rho_j: rho };
+            let along = r * self.medium.strength(&pair, p_over_rho2 + p_over_rho2);
             for axis in 0..3 {
                 force[axis] += along[axis].widen();
             }
@@ -323,8 +323,8 @@ fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
                 if r2 < support2 {
                     let v = Vector(here.velocity) - Vector(there.velocity);
                     let (rho_i, rho_j) = (here.density, there.density);
-                    let pair = Pair { r2, approach: v.dot(r), rho_i, rho_j };
-                    force += r * medium.strength(&pair, here.stress + there.stress);
+                    let pair = Pair { r2, v_dot_r: v.dot(r), rho_i, rho_j };
+                    force += r * medium.strength(&pair, here.p_over_rho2 + there.p_over_rho2);
                 }
             }
             sums.1.push(force);

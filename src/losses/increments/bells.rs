@@ -2,7 +2,7 @@
 //! loss.
 
 use crate::network::{COUNT, exp};
-use crate::scalar::{Lanes, Pass, WIDTH, Wide, dispatch};
+use crate::scalar::{F64x8, SimdFloat, SimdTask, WIDTH, dispatch};
 use rayon::prelude::*;
 
 /// Samples per parallel task. It is fixed, so that sums have the same bits for any number of
@@ -16,7 +16,7 @@ const REACH: f64 = 12.0;
 
 /// Uniform nodes at which densities are compared.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Nodes {
+pub(super) struct KdeGrid {
     /// Position of the lowest node.
     first: f64,
     /// Distance of two nodes.
@@ -25,7 +25,7 @@ pub(super) struct Nodes {
     pub(super) count: usize,
 }
 
-impl Nodes {
+impl KdeGrid {
     /// Over the range of the samples, and five bandwidths beyond it on either side.
     pub(super) fn new(x: &[f64], bandwidth: f64, count: usize) -> Self {
         let low = x.iter().copied().fold(f64::INFINITY, f64::min) - MARGIN * bandwidth;
@@ -59,8 +59,8 @@ impl Nodes {
         let mut padded = weights.to_vec();
         padded.resize(self.count + WIDTH, 0.0);
         let part = |(x, slopes): (&[f64], &mut [f64])| {
-            let (nodes, weights, mut widths) = (*self, &padded[..], Lanes::ZERO);
-            let mut lanes = [Lanes::ZERO; CHUNK];
+            let (nodes, weights, mut widths) = (*self, &padded[..], F64x8::ZERO);
+            let mut lanes = [F64x8::ZERO; CHUNK];
             let gather =
                 Gather { nodes, x, bandwidth, weights, slopes: &mut lanes, widths: &mut widths };
             dispatch(gather);
@@ -76,7 +76,7 @@ impl Nodes {
 /// The nodes in reach of one sample, in whole registers: the index of the first, the number of
 /// registers, and `u = (node − x)/b` of the first eight.
 #[inline(always)]
-fn reach<W: Wide>(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, W) {
+fn reach<W: SimdFloat>(nodes: &KdeGrid, x: f64, bandwidth: f64) -> (usize, usize, W) {
     let place = (x - nodes.first) / nodes.spacing;
     let radius = REACH * bandwidth / nodes.spacing;
     // A conversion to an integer saturates at its limits.
@@ -89,23 +89,23 @@ fn reach<W: Wide>(nodes: &Nodes, x: f64, bandwidth: f64) -> (usize, usize, W) {
 
 /// `e^{−u²/2}`.
 #[inline(always)]
-fn bell<W: Wide>(u: W) -> W {
+fn bell<W: SimdFloat>(u: W) -> W {
     exp(u * u * -0.5)
 }
 
 /// Adds `Σₖ e^{−u²/2}` of a chunk of samples at every node; `sum` is padded by eight nodes.
 struct Spread<'a> {
-    nodes: Nodes,
+    nodes: KdeGrid,
     x: &'a [f64],
     bandwidth: f64,
     sum: &'a mut [f64],
 }
 
-impl Pass for Spread<'_> {
+impl SimdTask for Spread<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let stride = WIDTH as f64 * self.nodes.spacing / self.bandwidth;
         for &x in self.x {
             let (first, lanes, mut u) = reach::<W>(&self.nodes, x, self.bandwidth);
@@ -126,19 +126,19 @@ impl Pass for Spread<'_> {
 /// The caller sums over lanes: if it were done here, the compiler would vectorise that sum instead
 /// of the loop.
 struct Gather<'a> {
-    nodes: Nodes,
+    nodes: KdeGrid,
     x: &'a [f64],
     bandwidth: f64,
     weights: &'a [f64],
-    slopes: &'a mut [Lanes],
-    widths: &'a mut Lanes,
+    slopes: &'a mut [F64x8],
+    widths: &'a mut F64x8,
 }
 
-impl Pass for Gather<'_> {
+impl SimdTask for Gather<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let stride = WIDTH as f64 * self.nodes.spacing / self.bandwidth;
         let mut widths = W::of(0.0);
         for (&x, slope) in self.x.iter().zip(self.slopes) {
@@ -146,7 +146,7 @@ impl Pass for Gather<'_> {
             let mut sum = W::of(0.0);
             let (blocks, _) = self.weights[first..].as_chunks::<WIDTH>();
             for block in blocks.iter().take(lanes) {
-                let felt = bell(u) * W::load(&Lanes::new(*block));
+                let felt = bell(u) * W::load(&F64x8::new(*block));
                 sum += felt * u;
                 widths += felt * (u * u - 1.0);
                 u = u + stride;

@@ -2,11 +2,11 @@
 
 use super::{EPSILON, medium_and_nu};
 use crate::models::{
-    CentralSlope, Constitutive, Medium, PairCotangent, PairLaw, Room, Slope, Strength,
+    CentralSlope, Constitutive, Medium, PairCoefficient, PairCotangent, PairLaw, Scratch, Slope,
 };
 use crate::pairs::Batch;
 use crate::parameters::ParameterSpec;
-use crate::scalar::Wide;
+use crate::scalar::SimdFloat;
 use crate::vector::Vector;
 
 /// `aᵢ = Σⱼ m 2(d+2) ν/ρ̄ · vᵢⱼ·rᵢⱼ/(r² + 0.01 h²) ∇ᵢWᵢⱼ`, `ν` the kinematic viscosity, `ρ̄ = (ρᵢ + ρⱼ)/2`.
@@ -34,22 +34,22 @@ impl<const D: usize> MonaghanCleary<D> {
 
     /// `s = factor ν v·r G/((ρᵢ + ρⱼ)(r² + 0.01 h²))` and its derivatives.
     #[inline(always)]
-    fn strength<W: Wide>(&self, pairs: &Batch<W, D>) -> Strength<W, [W; 1]> {
+    fn strength<W: SimdFloat>(&self, pairs: &Batch<W, D>) -> PairCoefficient<W, [W; 1]> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
-        let [gradient, curvature] = smoothing.slopes(pair.r2.sqrt());
+        let [dw_over_r, d_dw_over_r] = smoothing.dw_derivatives(pair.r2.sqrt());
         let densities = pair.rho_i + pair.rho_j;
         let inverse = W::of(1.0) / (pair.r2 + EPSILON * smoothing.h * smoothing.h);
         // By ν and v·r.
-        let both = gradient * inverse / densities * self.factor();
-        let by_nu = both * pair.approach;
+        let both = dw_over_r * inverse / densities * self.factor();
+        let by_nu = both * pair.v_dot_r;
         let value = by_nu * self.nu;
-        let curved = curvature * inverse / densities * self.factor();
-        let by_separation = (curved - both * inverse * 2.0) * pair.approach * self.nu;
-        Strength {
+        let curved = d_dw_over_r * inverse / densities * self.factor();
+        let by_separation = (curved - both * inverse * 2.0) * pair.v_dot_r * self.nu;
+        PairCoefficient {
             value,
             by_separation,
-            by_approach: both * self.nu,
-            by_stress: W::of(0.0),
+            by_v_dot_r: both * self.nu,
+            by_p_over_rho2: W::of(0.0),
             by_density: -(value / densities),
             by_parameter: [by_nu],
         }
@@ -61,8 +61,8 @@ impl<const D: usize> Constitutive<D> for MonaghanCleary<D> {
 }
 
 impl<const D: usize> PairLaw<D> for MonaghanCleary<D> {
-    type ByParameter<W: Wide> = [W; 1];
-    type Slope<W: Wide> = CentralSlope<W, D, [W; 1]>;
+    type ByParameter<W: SimdFloat> = [W; 1];
+    type Slope<W: SimdFloat> = CentralSlope<W, D, [W; 1]>;
 
     const IS_NUMBERS: bool = true;
     const HAS_KERNEL: bool = true;
@@ -73,38 +73,42 @@ impl<const D: usize> PairLaw<D> for MonaghanCleary<D> {
     }
 
     #[inline(always)]
-    fn by_kernel<W: Wide>(
+    fn by_kernel<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
-        _: &mut Room,
+        _: &mut Scratch,
     ) -> Vector<W, D> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
-        let by = smoothing.gradient_by(parameter, pair.r2.sqrt());
+        let by = smoothing.dw_over_r_by(parameter, pair.r2.sqrt());
         let under = (pair.r2 + EPSILON * smoothing.h * smoothing.h) * (pair.rho_i + pair.rho_j);
-        pairs.separation * (by * pair.approach / under * (self.factor() * self.nu))
+        pairs.separation * (by * pair.v_dot_r / under * (self.factor() * self.nu))
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> Vector<W, D> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
         let under = (pair.r2 + EPSILON * smoothing.h * smoothing.h) * (pair.rho_i + pair.rho_j);
-        let strength = smoothing.gradient(pair.r2.sqrt()) * pair.approach / under;
+        let strength = smoothing.dw_over_r(pair.r2.sqrt()) * pair.v_dot_r / under;
         pairs.separation * (strength * (self.factor() * self.nu))
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> CentralSlope<W, D, [W; 1]> {
+    fn slope<W: SimdFloat>(
+        &self,
+        pairs: &Batch<W, D>,
+        _: &mut Scratch,
+    ) -> CentralSlope<W, D, [W; 1]> {
         CentralSlope::new(pairs, &self.strength(pairs), [W::of(0.0); 2])
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> PairCotangent<W, D, [W; 1]> {
-        self.slope(pairs, room).pullback(force)
+        self.slope(pairs, scratch).pullback(force)
     }
 }

@@ -1,10 +1,10 @@
 //! Laminar viscosity along the velocity difference (Morris, Fox & Zhu 1997, J. Comput. Phys. 136, 214).
 
 use super::{EPSILON, medium_and_nu};
-use crate::models::{Constitutive, GeneralSlope, Medium, PairCotangent, PairLaw, Room};
+use crate::models::{Constitutive, GeneralSlope, Medium, PairCotangent, PairLaw, Scratch};
 use crate::pairs::Batch;
 use crate::parameters::ParameterSpec;
-use crate::scalar::Wide;
+use crate::scalar::SimdFloat;
 use crate::vector::Vector;
 
 /// `aᵢ = Σⱼ m 2ν rᵢⱼ·∇ᵢWᵢⱼ/(ρ̄ (r² + 0.01 h²)) vᵢⱼ`, `ν` the kinematic viscosity, `ρ̄ = (ρᵢ + ρⱼ)/2`.
@@ -36,15 +36,15 @@ impl<const D: usize> Morris<D> {
 
     /// `w = 4 m ν G r²/((ρᵢ + ρⱼ)(r² + 0.01 h²))`.
     #[inline(always)]
-    fn weight<W: Wide>(&self, pairs: &Batch<W, D>) -> Weight<W> {
+    fn weight<W: SimdFloat>(&self, pairs: &Batch<W, D>) -> Weight<W> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
-        let [gradient, curvature] = smoothing.slopes(pair.r2.sqrt());
+        let [dw_over_r, d_dw_over_r] = smoothing.dw_derivatives(pair.r2.sqrt());
         let inverse = W::of(1.0) / (pair.r2 + EPSILON * smoothing.h * smoothing.h);
         let inverse_density = W::of(1.0) / (pair.rho_i + pair.rho_j);
         let scale = inverse * inverse_density * (4.0 * self.medium.mass);
-        let by_nu = gradient * pair.r2 * scale;
+        let by_nu = dw_over_r * pair.r2 * scale;
         let value = by_nu * self.nu;
-        let bent = curvature * pair.r2 + gradient * (W::of(1.0) - pair.r2 * inverse) * 2.0;
+        let bent = d_dw_over_r * pair.r2 + dw_over_r * (W::of(1.0) - pair.r2 * inverse) * 2.0;
         Weight {
             value,
             by_separation: bent * scale * self.nu,
@@ -59,8 +59,8 @@ impl<const D: usize> Constitutive<D> for Morris<D> {
 }
 
 impl<const D: usize> PairLaw<D> for Morris<D> {
-    type ByParameter<W: Wide> = [W; 1];
-    type Slope<W: Wide> = GeneralSlope<W, D, 1>;
+    type ByParameter<W: SimdFloat> = [W; 1];
+    type Slope<W: SimdFloat> = GeneralSlope<W, D, 1>;
 
     const IS_NUMBERS: bool = true;
     const HAS_KERNEL: bool = true;
@@ -71,28 +71,28 @@ impl<const D: usize> PairLaw<D> for Morris<D> {
     }
 
     #[inline(always)]
-    fn by_kernel<W: Wide>(
+    fn by_kernel<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         parameter: usize,
-        _: &mut Room,
+        _: &mut Scratch,
     ) -> Vector<W, D> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
-        let by = smoothing.gradient_by(parameter, pair.r2.sqrt());
+        let by = smoothing.dw_over_r_by(parameter, pair.r2.sqrt());
         let under = (pair.r2 + EPSILON * smoothing.h * smoothing.h) * (pair.rho_i + pair.rho_j);
         pairs.velocity * (by * pair.r2 / under * (4.0 * self.medium.mass * self.nu))
     }
 
     #[inline(always)]
-    fn force<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> Vector<W, D> {
+    fn force<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> Vector<W, D> {
         let (pair, smoothing) = (&pairs.pair, &self.medium.smoothing);
         let under = (pair.r2 + EPSILON * smoothing.h * smoothing.h) * (pair.rho_i + pair.rho_j);
-        let weight = smoothing.gradient(pair.r2.sqrt()) * pair.r2 / under;
+        let weight = smoothing.dw_over_r(pair.r2.sqrt()) * pair.r2 / under;
         pairs.velocity * (weight * (4.0 * self.medium.mass * self.nu))
     }
 
     #[inline(always)]
-    fn slope<W: Wide>(&self, pairs: &Batch<W, D>, _: &mut Room) -> GeneralSlope<W, D, 1> {
+    fn slope<W: SimdFloat>(&self, pairs: &Batch<W, D>, _: &mut Scratch) -> GeneralSlope<W, D, 1> {
         let (weight, r, v) = (self.weight(pairs), pairs.separation, pairs.velocity);
         let mut slope = GeneralSlope::zero();
         for axis in 0..D {
@@ -105,18 +105,18 @@ impl<const D: usize> PairLaw<D> for Morris<D> {
     }
 
     #[inline(always)]
-    fn pullback<W: Wide>(
+    fn pullback<W: SimdFloat>(
         &self,
         pairs: &Batch<W, D>,
         force: Vector<W, D>,
-        _: &mut Room,
+        _: &mut Scratch,
     ) -> PairCotangent<W, D, [W; 1]> {
         let weight = self.weight(pairs);
         let along = force.dot(pairs.velocity);
         PairCotangent {
             separation: pairs.separation * (along * weight.by_separation),
             velocity: force * weight.value,
-            stress: [W::of(0.0); 2],
+            p_over_rho2: [W::of(0.0); 2],
             density: [along * weight.by_density; 2],
             parameters: [along * weight.by_nu],
         }

@@ -7,11 +7,11 @@ use crate::scalar::x86::singles::Doubles;
 
 /// Eight `f64` in two registers of AVX2.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scalar) struct Lanes256(pub(super) [__m256d; 2]);
+pub(in crate::scalar) struct F64x8Avx2(pub(super) [__m256d; 2]);
 
-arithmetic!([] Lanes256);
+arithmetic!([] F64x8Avx2);
 
-on_registers! { [] Lanes256, Self;
+on_registers! { [] F64x8Avx2, Self;
     plus _mm256_add_pd;
     minus _mm256_sub_pd;
     times _mm256_mul_pd;
@@ -24,7 +24,7 @@ on_registers! { [] Lanes256, Self;
     larger _mm256_max_pd;
 }
 
-impl Scalar for Lanes256 {
+impl Scalar for F64x8Avx2 {
     const TABLES: bool = false;
 
     #[inline(always)]
@@ -50,8 +50,8 @@ impl Scalar for Lanes256 {
     through_memory!(exp, ln, tanh);
 }
 
-impl Lanes256 {
-    /// As [`Lanes512::transpose_halves`].
+impl F64x8Avx2 {
+    /// As [`F64x8Avx512::transpose_halves`].
     #[inline(always)]
     fn transpose_halves(rows: [*const f64; WIDTH]) -> [Self; 4] {
         let [a, b, c, d] = unsafe { four_columns(&rows, 0, 0) };
@@ -59,7 +59,7 @@ impl Lanes256 {
         [Self([a, e]), Self([b, f]), Self([c, g]), Self([d, h])]
     }
 
-    /// As [`Lanes512::transpose`].
+    /// As [`F64x8Avx512::transpose`].
     #[inline(always)]
     fn transpose(lines: [&Packed; WIDTH]) -> [Self; 8] {
         let rows = lines.map_each(half_of_packed);
@@ -113,7 +113,7 @@ unsafe fn less(words: __m256i, limit: u32) -> u8 {
     }
 }
 
-/// The rest of [`Wide::sum`], after the upper four lanes have been added to the lower four.
+/// The rest of [`SimdFloat::sum`], after the upper four lanes have been added to the lower four.
 #[inline(always)]
 pub(super) unsafe fn sum_of_four(four: __m256d) -> f64 {
     unsafe {
@@ -123,17 +123,17 @@ pub(super) unsafe fn sum_of_four(four: __m256d) -> f64 {
     }
 }
 
-impl Wide for Lanes256 {
+impl SimdFloat for F64x8Avx2 {
     wide_doubles!();
 
     #[inline(always)]
-    fn load(memory: &Lanes) -> Self {
+    fn load(memory: &F64x8) -> Self {
         let memory: *const f64 = std::ptr::from_ref(memory).cast();
         Self(unsafe { [_mm256_loadu_pd(memory), _mm256_loadu_pd(memory.add(4))] })
     }
     #[inline(always)]
-    fn store(self) -> Lanes {
-        let mut lanes = Lanes::ZERO;
+    fn store(self) -> F64x8 {
+        let mut lanes = F64x8::ZERO;
         let memory: *mut f64 = std::ptr::from_mut(&mut lanes).cast();
         unsafe {
             _mm256_storeu_pd(memory, self.0[0]);
@@ -292,7 +292,7 @@ impl Wide for Lanes256 {
     }
 }
 
-impl Doubles for Lanes256 {
+impl Doubles for F64x8Avx2 {
     #[inline(always)]
     fn of_singles(singles: __m256) -> Self {
         Self(unsafe {

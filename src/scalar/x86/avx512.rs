@@ -8,11 +8,11 @@ use crate::scalar::x86::singles::Doubles;
 
 /// Eight `f64` in one register of AVX-512.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scalar) struct Lanes512(pub(super) [__m512d; 1]);
+pub(in crate::scalar) struct F64x8Avx512(pub(super) [__m512d; 1]);
 
-arithmetic!([] Lanes512);
+arithmetic!([] F64x8Avx512);
 
-on_registers! { [] Lanes512, Self;
+on_registers! { [] F64x8Avx512, Self;
     plus _mm512_add_pd;
     minus _mm512_sub_pd;
     times _mm512_mul_pd;
@@ -25,7 +25,7 @@ on_registers! { [] Lanes512, Self;
     larger _mm512_max_pd;
 }
 
-impl Scalar for Lanes512 {
+impl Scalar for F64x8Avx512 {
     const TABLES: bool = false;
 
     #[inline(always)]
@@ -46,7 +46,7 @@ impl Scalar for Lanes512 {
     through_memory!(exp, ln, tanh);
 }
 
-impl Lanes512 {
+impl F64x8Avx512 {
     /// Four numbers of each of eight rows, as four columns.
     #[inline(always)]
     fn transpose_halves(rows: [*const f64; WIDTH]) -> [Self; 4] {
@@ -107,16 +107,16 @@ unsafe fn columns(a: __m512d, b: __m512d, c: __m512d, d: __m512d) -> [__m512d; 4
 /// Mask of the high halves of words.
 const UPPER: u32 = 0xaaaa_aaaa;
 
-impl Wide for Lanes512 {
+impl SimdFloat for F64x8Avx512 {
     wide_doubles!();
 
     #[inline(always)]
-    fn load(memory: &Lanes) -> Self {
+    fn load(memory: &F64x8) -> Self {
         Self([unsafe { _mm512_loadu_pd(std::ptr::from_ref(memory).cast()) }])
     }
     #[inline(always)]
-    fn store(self) -> Lanes {
-        let mut lanes = Lanes::ZERO;
+    fn store(self) -> F64x8 {
+        let mut lanes = F64x8::ZERO;
         unsafe { _mm512_storeu_pd(std::ptr::from_mut(&mut lanes).cast(), self.0[0]) };
         lanes
     }
@@ -248,7 +248,7 @@ impl Wide for Lanes512 {
     }
 }
 
-impl Doubles for Lanes512 {
+impl Doubles for F64x8Avx512 {
     #[inline(always)]
     fn of_singles(singles: __m256) -> Self {
         Self([unsafe { _mm512_cvtps_pd(singles) }])

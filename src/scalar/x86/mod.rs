@@ -11,7 +11,7 @@
 use super::sift::{LANES_OF, Window};
 use super::singles::SMALLEST_SINGLE;
 use super::wide::{FAR, reading_of, separation_of, unit};
-use super::{Lanes, Scalar, Tabulated, WIDTH, Wide, operators_with_f64};
+use super::{F64x8, Scalar, SimdFloat, Tabulated, WIDTH, operators_with_f64};
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::pairs::{Lines, Reading, Surroundings};
 use crate::vector::Vector;
@@ -24,15 +24,15 @@ mod avx512;
 mod singles;
 mod sse2;
 
-pub(super) use avx2::Lanes256;
-pub(super) use avx512::Lanes512;
-pub(super) use sse2::{Lanes128, Singles128};
+pub(super) use avx2::F64x8Avx2;
+pub(super) use avx512::F64x8Avx512;
+pub(super) use sse2::{F32x8Sse2, F64x8Sse2};
 
 /// The `f32` type on a machine with AVX-512.
-pub(super) type SinglesOn512 = singles::Singles256<Lanes512>;
+pub(super) type F32x8On512 = singles::F32x8Avx2<F64x8Avx512>;
 
 /// The `f32` type on a machine with AVX2.
-pub(super) type SinglesOn256 = singles::Singles256<Lanes256>;
+pub(super) type F32x8On256 = singles::F32x8Avx2<F64x8Avx2>;
 
 /// The operators of a number, from its methods of two operands.
 macro_rules! arithmetic {
@@ -142,7 +142,7 @@ macro_rules! wide_doubles {
             fetch_line(line);
         }
         #[inline(always)]
-        fn fetch_columns(columns: &[Lanes]) {
+        fn fetch_columns(columns: &[F64x8]) {
             columns.iter().for_each(fetch_line);
         }
 
@@ -208,11 +208,11 @@ macro_rules! wide_singles {
         }
 
         #[inline(always)]
-        fn load(memory: &Lanes) -> Self {
+        fn load(memory: &F64x8) -> Self {
             Self::of_doubles(<$doubles>::load(memory))
         }
         #[inline(always)]
-        fn store(self) -> Lanes {
+        fn store(self) -> F64x8 {
             self.to_doubles().store()
         }
         #[inline(always)]
@@ -239,8 +239,8 @@ macro_rules! wide_singles {
             for (axis, there) in [x, y, z].into_iter().enumerate().take(D) {
                 separation[axis] = Self::steps(here.position[axis], there) * unit;
             }
-            let nobody = Self::of(FAR);
-            separation[0] = Self::select_less(density, Self::of(0.0), nobody, separation[0]);
+            let sentinel = Self::of(FAR);
+            separation[0] = Self::select_less(density, Self::of(0.0), sentinel, separation[0]);
             separation
         }
         #[inline(always)]
@@ -250,7 +250,7 @@ macro_rules! wide_singles {
             space: Surroundings,
         ) -> Reading<Self, D> {
             let [.., density] = Self::columns(others, 0);
-            let [u, v, w, stress] = Self::columns(others, 4);
+            let [u, v, w, p_over_rho2] = Self::columns(others, 4);
             let mut velocity = Vector::zero();
             for (axis, there) in [u, v, w].into_iter().enumerate().take(D) {
                 velocity[axis] = Self::of(f64::from(here.velocity[axis])) - there;
@@ -260,8 +260,8 @@ macro_rules! wide_singles {
                 velocity,
                 rho_i: here.density.into(),
                 density: density.abs(),
-                stress_i: here.stress.into(),
-                stress,
+                p_over_rho2_i: here.p_over_rho2.into(),
+                p_over_rho2,
             }
         }
         #[inline(always)]

@@ -6,11 +6,11 @@ use super::*;
 
 /// Eight `f32` in one register of AVX2, with the `f64` type `W`.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scalar) struct Singles256<W>(pub(super) [__m256; 1], PhantomData<W>);
+pub(in crate::scalar) struct F32x8Avx2<W>(pub(super) [__m256; 1], PhantomData<W>);
 
-arithmetic!([W: Doubles] Singles256<W>);
+arithmetic!([W: Doubles] F32x8Avx2<W>);
 
-on_registers! { [W] Singles256<W>, Self::of_registers;
+on_registers! { [W] F32x8Avx2<W>, Self::of_registers;
     plus _mm256_add_ps;
     minus _mm256_sub_ps;
     times _mm256_mul_ps;
@@ -23,7 +23,7 @@ on_registers! { [W] Singles256<W>, Self::of_registers;
     larger _mm256_max_ps;
 }
 
-impl<W> Singles256<W> {
+impl<W> F32x8Avx2<W> {
     #[inline(always)]
     const fn new(x: __m256) -> Self {
         Self([x], PhantomData)
@@ -36,12 +36,12 @@ impl<W> Singles256<W> {
 }
 
 /// An `f64` type that converts from and to `f32`.
-pub(in crate::scalar) trait Doubles: Wide<Double = Self> {
+pub(in crate::scalar) trait Doubles: SimdFloat<Double = Self> {
     fn of_singles(singles: __m256) -> Self;
     fn to_singles(self) -> __m256;
 }
 
-impl<W: Doubles> Scalar for Singles256<W> {
+impl<W: Doubles> Scalar for F32x8Avx2<W> {
     const TABLES: bool = false;
 
     #[inline(always)]
@@ -97,15 +97,15 @@ unsafe fn single_halves(others: [&PackedSingle; WIDTH], offset: usize) -> [__m25
     }
 }
 
-impl<W: Doubles> Singles256<W> {
-    /// As [`Singles128::columns`].
+impl<W: Doubles> F32x8Avx2<W> {
+    /// As [`F32x8Sse2::columns`].
     #[inline(always)]
     fn columns(others: [&PackedSingle; WIDTH], offset: usize) -> [Self; 4] {
         let [a, b, c, d] = unsafe { single_halves(others, offset) };
         [Self::new(a), Self::new(b), Self::new(c), Self::new(d)]
     }
 
-    /// As [`Singles128::steps`].
+    /// As [`F32x8Sse2::steps`].
     #[inline(always)]
     fn steps(here: i32, there: Self) -> Self {
         Self::new(unsafe {
@@ -125,7 +125,7 @@ impl<W: Doubles> Singles256<W> {
     }
 }
 
-impl<W: Doubles> Wide for Singles256<W> {
+impl<W: Doubles> SimdFloat for F32x8Avx2<W> {
     wide_singles!(W);
 
     #[inline(always)]

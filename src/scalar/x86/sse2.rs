@@ -6,16 +6,16 @@ use super::*;
 
 /// Eight `f64` in four registers of SSE2.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scalar) struct Lanes128(pub(super) [__m128d; 4]);
+pub(in crate::scalar) struct F64x8Sse2(pub(super) [__m128d; 4]);
 
 /// Eight `f32` in two registers of SSE2.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scalar) struct Singles128(pub(super) [__m128; 2]);
+pub(in crate::scalar) struct F32x8Sse2(pub(super) [__m128; 2]);
 
-arithmetic!([] Lanes128);
-arithmetic!([] Singles128);
+arithmetic!([] F64x8Sse2);
+arithmetic!([] F32x8Sse2);
 
-on_registers! { [] Lanes128, Self;
+on_registers! { [] F64x8Sse2, Self;
     plus _mm_add_pd;
     minus _mm_sub_pd;
     times _mm_mul_pd;
@@ -29,7 +29,7 @@ on_registers! { [] Lanes128, Self;
     less _mm_cmplt_pd;
 }
 
-on_registers! { [] Singles128, Self;
+on_registers! { [] F32x8Sse2, Self;
     plus _mm_add_ps;
     minus _mm_sub_ps;
     times _mm_mul_ps;
@@ -43,7 +43,7 @@ on_registers! { [] Singles128, Self;
     less _mm_cmplt_ps;
 }
 
-impl Scalar for Lanes128 {
+impl Scalar for F64x8Sse2 {
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([unsafe { _mm_set1_pd(x) }; 4])
@@ -61,7 +61,7 @@ impl Scalar for Lanes128 {
     through_memory!(exp, ln, tanh);
 }
 
-impl Scalar for Singles128 {
+impl Scalar for F32x8Sse2 {
     #[inline(always)]
     fn of(x: f64) -> Self {
         Self([unsafe { _mm_set1_ps(x as f32) }; 2])
@@ -83,14 +83,14 @@ impl Scalar for Singles128 {
     through_memory!(exp, ln, tanh);
 }
 
-impl Lanes128 {
-    /// As [`Lanes512::transpose_halves`].
+impl F64x8Sse2 {
+    /// As [`F64x8Avx512::transpose_halves`].
     #[inline(always)]
     fn transpose_halves(rows: [*const f64; WIDTH]) -> [Self; 4] {
         unsafe { two_by_two(&rows) }
     }
 
-    /// As [`Lanes512::transpose`].
+    /// As [`F64x8Avx512::transpose`].
     #[inline(always)]
     fn transpose(lines: [&Packed; WIDTH]) -> [Self; 8] {
         unsafe { two_by_two(&lines.map_each(half_of_packed)) }
@@ -99,8 +99,8 @@ impl Lanes128 {
 
 /// The first `F` numbers of eight rows, as columns.
 #[inline(always)]
-unsafe fn two_by_two<const F: usize>(rows: &[*const f64; WIDTH]) -> [Lanes128; F] {
-    let mut fields = [Lanes128::of(0.0); F];
+unsafe fn two_by_two<const F: usize>(rows: &[*const f64; WIDTH]) -> [F64x8Sse2; F] {
+    let mut fields = [F64x8Sse2::of(0.0); F];
     for k in 0..WIDTH / 2 {
         for f in (0..F).step_by(2) {
             unsafe {
@@ -114,7 +114,7 @@ unsafe fn two_by_two<const F: usize>(rows: &[*const f64; WIDTH]) -> [Lanes128; F
     fields
 }
 
-impl Wide for Lanes128 {
+impl SimdFloat for F64x8Sse2 {
     wide_doubles!();
 
     #[inline(always)]
@@ -130,7 +130,7 @@ impl Wide for Lanes128 {
     }
 
     #[inline(always)]
-    fn load(memory: &Lanes) -> Self {
+    fn load(memory: &F64x8) -> Self {
         let memory: *const f64 = std::ptr::from_ref(memory).cast();
         let mut lanes = Self::of(0.0);
         for (k, register) in lanes.0.iter_mut().enumerate() {
@@ -139,8 +139,8 @@ impl Wide for Lanes128 {
         lanes
     }
     #[inline(always)]
-    fn store(self) -> Lanes {
-        let mut lanes = Lanes::ZERO;
+    fn store(self) -> F64x8 {
+        let mut lanes = F64x8::ZERO;
         let memory: *mut f64 = std::ptr::from_mut(&mut lanes).cast();
         for (k, register) in self.0.into_iter().enumerate() {
             unsafe { _mm_storeu_pd(memory.add(2 * k), register) };
@@ -162,8 +162,8 @@ impl Wide for Lanes128 {
 
 /// Four numbers, starting at `offset`, of eight lines, in registers of SSE2.
 #[inline(always)]
-unsafe fn single_quarters(others: [&PackedSingle; WIDTH], offset: usize) -> [Singles128; 4] {
-    let mut fields = [Singles128::of(0.0); 4];
+unsafe fn single_quarters(others: [&PackedSingle; WIDTH], offset: usize) -> [F32x8Sse2; 4] {
+    let mut fields = [F32x8Sse2::of(0.0); 4];
     for half in 0..2 {
         unsafe {
             let row = |k: usize| {
@@ -182,7 +182,7 @@ unsafe fn single_quarters(others: [&PackedSingle; WIDTH], offset: usize) -> [Sin
     fields
 }
 
-impl Singles128 {
+impl F32x8Sse2 {
     /// Four numbers, starting at `offset`, of eight lines.
     #[inline(always)]
     fn columns(others: [&PackedSingle; WIDTH], offset: usize) -> [Self; 4] {
@@ -203,16 +203,16 @@ impl Singles128 {
     }
 
     #[inline(always)]
-    fn to_doubles(self) -> Lanes128 {
+    fn to_doubles(self) -> F64x8Sse2 {
         let [a, b] = self.0;
-        Lanes128(unsafe {
+        F64x8Sse2(unsafe {
             let high = |x: __m128| _mm_cvtps_pd(_mm_movehl_ps(x, x));
             [_mm_cvtps_pd(a), high(a), _mm_cvtps_pd(b), high(b)]
         })
     }
 
     #[inline(always)]
-    fn of_doubles(wide: Lanes128) -> Self {
+    fn of_doubles(wide: F64x8Sse2) -> Self {
         let [a, b, c, d] = wide.0;
         Self(unsafe {
             let two = |x: __m128d, y: __m128d| _mm_movelh_ps(_mm_cvtpd_ps(x), _mm_cvtpd_ps(y));
@@ -221,8 +221,8 @@ impl Singles128 {
     }
 }
 
-impl Wide for Singles128 {
-    wide_singles!(Lanes128);
+impl SimdFloat for F32x8Sse2 {
+    wide_singles!(F64x8Sse2);
 
     #[inline(always)]
     fn nonzero(self) -> u8 {

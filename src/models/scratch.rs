@@ -2,7 +2,7 @@
 
 use crate::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
-use crate::scalar::{Lanes, Pass, Wide, dispatch};
+use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
 
 /// A network with its weights.
 #[derive(Clone, Debug)]
@@ -16,26 +16,26 @@ pub struct Learned {
 /// A thread's scratch buffer to evaluate and differentiate a model; made once, used for every
 /// chunk.
 #[derive(Clone, Debug, Default)]
-pub struct Room {
+pub struct Scratch {
     workspace: Option<Workspace>,
     /// Inputs of the network, `[inputs]`.
-    pub input: Vec<Lanes>,
+    pub input: Vec<F64x8>,
     /// `∂L/∂inputs`.
-    pub input_cotangent: Vec<Lanes>,
+    pub input_cotangent: Vec<F64x8>,
     /// Outputs of the network, `[outputs]`.
-    pub output: Vec<Lanes>,
+    pub output: Vec<F64x8>,
     /// `∂L/∂outputs`.
-    pub output_cotangent: Vec<Lanes>,
+    pub output_cotangent: Vec<F64x8>,
     /// `∂outputs/∂inputs`, `[outputs × inputs]`.
-    pub jacobian: Vec<Lanes>,
+    pub jacobian: Vec<F64x8>,
     /// `∂L/∂` of each of the model's scalar parameters, summed lane by lane.
-    pub scalars: Vec<Lanes>,
-    /// `∂A/∂` of each of them, for eight particles, see [`super::Constitutive::stress_slope`].
-    pub stress_by: Vec<Lanes>,
-    /// Sums over the pairs of one particle, see [`super::Slopes`].
-    pub(super) direct: Vec<Lanes>,
+    pub scalars: Vec<F64x8>,
+    /// `∂A/∂` of each of them, for eight particles, see [`super::Constitutive::p_over_rho2_slope`].
+    pub p_over_rho2_by: Vec<F64x8>,
+    /// Sums over the pairs of one particle, see [`super::ForceJacobian`].
+    pub(super) direct: Vec<F64x8>,
     /// `∂L/∂weights`, summed lane by lane.
-    pub weights: Vec<Lanes>,
+    pub weights: Vec<F64x8>,
     /// `∂aᵢ/∂weights` of a few particles, see [`super::Model::weight_shares`].
     pub shares: Vec<f64>,
     /// Candidates for the nearest neighbours of a particle, by distance, see [`super::Node`].
@@ -46,11 +46,12 @@ pub struct Room {
     pub near: Near,
 }
 
-impl Room {
+impl Scratch {
     /// A buffer for a model with this number of scalar parameters and this network, if any.
     pub fn new(scalars: usize, network: Option<&Learned>) -> Self {
-        let zeros = |count: usize| vec![Lanes::ZERO; count];
-        let plain = Self { scalars: zeros(scalars), stress_by: zeros(scalars), ..Self::default() };
+        let zeros = |count: usize| vec![F64x8::ZERO; count];
+        let plain =
+            Self { scalars: zeros(scalars), p_over_rho2_by: zeros(scalars), ..Self::default() };
         let Some(Learned { shape, weights }) = network else { return plain };
         Self {
             workspace: Some(Workspace::new(shape)),
@@ -66,8 +67,8 @@ impl Room {
 
     /// Sets the sums over parameters to zero.
     pub fn clear(&mut self) {
-        self.scalars.fill(Lanes::ZERO);
-        self.weights.fill(Lanes::ZERO);
+        self.scalars.fill(F64x8::ZERO);
+        self.weights.fill(F64x8::ZERO);
     }
 
     /// Writes the sums over the parameters, scalars first, until `sums` is full.
@@ -83,33 +84,34 @@ impl Learned {
         Self { shape, weights: vec![0.0; shape.parameter_count()] }
     }
 
-    /// Evaluates `room.output` for `room.input`.
-    pub fn value(&self, room: &mut Room) {
-        let Some(workspace) = &mut room.workspace else { return };
-        let (input, output) = (&room.input, &mut room.output);
+    /// Evaluates `scratch.output` for `scratch.input`.
+    pub fn value(&self, scratch: &mut Scratch) {
+        let Some(workspace) = &mut scratch.workspace else { return };
+        let (input, output) = (&scratch.input, &mut scratch.output);
         dispatch(Value { network: self, workspace, input, output });
     }
 
-    /// Computes `room.jacobian` of the last [`Learned::value`].
-    pub fn jacobian(&self, room: &mut Room) {
-        let Some(workspace) = &mut room.workspace else { return };
-        dispatch(Jacobian { network: self, workspace, into: &mut room.jacobian });
+    /// Computes `scratch.jacobian` of the last [`Learned::value`].
+    pub fn jacobian(&self, scratch: &mut Scratch) {
+        let Some(workspace) = &mut scratch.workspace else { return };
+        dispatch(Jacobian { network: self, workspace, into: &mut scratch.jacobian });
     }
 
-    /// The pullback of the last [`Learned::value`]: computes `room.input_cotangent` from
-    /// `room.output_cotangent`, and adds to the sums over weights.
-    pub fn pullback(&self, room: &mut Room) {
-        let Some(workspace) = &mut room.workspace else { return };
-        let into = Cotangents { input: &mut room.input_cotangent, parameters: &mut room.weights };
-        let output = &room.output_cotangent;
+    /// The pullback of the last [`Learned::value`]: computes `scratch.input_cotangent` from
+    /// `scratch.output_cotangent`, and adds to the sums over weights.
+    pub fn pullback(&self, scratch: &mut Scratch) {
+        let Some(workspace) = &mut scratch.workspace else { return };
+        let into =
+            Cotangents { input: &mut scratch.input_cotangent, parameters: &mut scratch.weights };
+        let output = &scratch.output_cotangent;
         dispatch(Pullback { network: self, workspace, output, into });
     }
 
     /// `∂out/∂weights` of one output of the last [`Learned::value`]; overwrites the sums over
     /// weights.
-    pub fn weight_gradient(&self, output: usize, room: &mut Room) {
-        let Some(workspace) = &mut room.workspace else { return };
-        let into = &mut room.weights;
+    pub fn weight_gradient(&self, output: usize, scratch: &mut Scratch) {
+        let Some(workspace) = &mut scratch.workspace else { return };
+        let into = &mut scratch.weights;
         dispatch(WeightGradient { network: self, workspace, output, into });
     }
 }
@@ -120,15 +122,15 @@ impl Learned {
 struct Value<'a> {
     network: &'a Learned,
     workspace: &'a mut Workspace,
-    input: &'a [Lanes],
-    output: &'a mut [Lanes],
+    input: &'a [F64x8],
+    output: &'a mut [F64x8],
 }
 
-impl Pass for Value<'_> {
+impl SimdTask for Value<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Learned { shape, weights } = self.network;
         self.output.copy_from_slice(shape.value::<W>(weights, self.input, self.workspace));
     }
@@ -137,14 +139,14 @@ impl Pass for Value<'_> {
 struct Jacobian<'a> {
     network: &'a Learned,
     workspace: &'a mut Workspace,
-    into: &'a mut [Lanes],
+    into: &'a mut [F64x8],
 }
 
-impl Pass for Jacobian<'_> {
+impl SimdTask for Jacobian<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Learned { shape, weights } = self.network;
         shape.jacobian::<W>(weights, self.workspace, self.into);
     }
@@ -153,15 +155,15 @@ impl Pass for Jacobian<'_> {
 struct Pullback<'a> {
     network: &'a Learned,
     workspace: &'a mut Workspace,
-    output: &'a [Lanes],
+    output: &'a [F64x8],
     into: Cotangents<'a>,
 }
 
-impl Pass for Pullback<'_> {
+impl SimdTask for Pullback<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Learned { shape, weights } = self.network;
         shape.pullback::<W>(weights, self.output, self.workspace, self.into);
     }
@@ -171,14 +173,14 @@ struct WeightGradient<'a> {
     network: &'a Learned,
     workspace: &'a mut Workspace,
     output: usize,
-    into: &'a mut [Lanes],
+    into: &'a mut [F64x8],
 }
 
-impl Pass for WeightGradient<'_> {
+impl SimdTask for WeightGradient<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<W: Wide>(self) {
+    fn run<W: SimdFloat>(self) {
         let Learned { shape, weights } = self.network;
         shape.parameter_gradient::<W>(weights, self.output, self.workspace, self.into);
     }

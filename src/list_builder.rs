@@ -1,7 +1,7 @@
 //! Neighbour lists while they are written, one slot after another.
 
 use crate::chunk::{CHUNK, Entry};
-use crate::scalar::{WIDTH, Wide};
+use crate::scalar::{SimdFloat, WIDTH};
 
 /// The neighbour lists of consecutive slots, while they are written.
 #[derive(Clone, Debug, Default)]
@@ -19,7 +19,7 @@ pub struct Lists<E> {
 }
 
 /// Neighbour lists of 32-bit slots.
-pub type Draft = Lists<u32>;
+pub type ListBuilder = Lists<u32>;
 
 impl<E> Lists<E> {
     /// Number of slots.
@@ -77,7 +77,7 @@ impl<E> Lists<E> {
     }
 
     /// Capacity of all lists together, in neighbours.
-    pub fn room(&self) -> usize {
+    pub fn scratch(&self) -> usize {
         self.index.len()
     }
 }
@@ -100,22 +100,22 @@ impl<E: Entry> Lists<E> {
         }
     }
 
-    /// Ends the list of a slot, and pads it to whole eights with `nobody`, the sentinel's distance
+    /// Ends the list of a slot, and pads it to whole eights with `sentinel`, the sentinel's distance
     /// from the base. `seam` says whether a neighbour may be across the periodic boundary while the
     /// list is used.
     #[inline(always)]
-    pub fn close(&mut self, nobody: usize, seam: bool) {
+    pub fn close(&mut self, sentinel: usize, seam: bool) {
         self.seam.push(seam);
         // One write of a whole register: there is room for it after the last neighbour.
         if let Some(rest) = self.index[self.filled..].first_chunk_mut::<WIDTH>() {
-            *rest = [E::at(nobody); WIDTH];
+            *rest = [E::at(sentinel); WIDTH];
         }
         self.filled = self.filled.next_multiple_of(WIDTH);
         self.start.push(self.filled as u32);
     }
 }
 
-impl Draft {
+impl ListBuilder {
     /// Ends all lists, and drops the unused elements.
     pub fn finish(&mut self) {
         self.index.truncate(self.filled);
@@ -124,7 +124,7 @@ impl Draft {
     /// Appends the slots from `first` on that are set in a mask of sixteen; [`Self::open`]
     /// must have made room for them.
     #[inline(always)]
-    pub fn append_mask<W: Wide>(&mut self, mask: u16, first: usize) {
+    pub fn append_mask<W: SimdFloat>(&mut self, mask: u16, first: usize) {
         if let Some(kept) = self.index[self.filled..].first_chunk_mut() {
             W::compress(mask, first as u32, kept);
         }
