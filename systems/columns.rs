@@ -8,7 +8,7 @@ use std::any::Any;
 use std::fmt::{self, Debug};
 
 /// A snapshot of a column: one value for each particle, particle `k` in row `k`.
-pub type TangentOptions = Box<dyn Any + Send + Sync>;
+pub type KeptColumn = Box<dyn Any + Send + Sync>;
 
 /// A component that every particle carries.
 #[derive(Clone, Copy)]
@@ -17,8 +17,8 @@ pub struct Column {
     bytes: usize,
     spawn: fn(&mut World),
     forget: fn(&mut World),
-    keep: fn(&mut World) -> TangentOptions,
-    restore: fn(&mut World, &TangentOptions),
+    keep: fn(&mut World) -> KeptColumn,
+    restore: fn(&mut World, &KeptColumn),
 }
 
 impl Debug for Column {
@@ -82,12 +82,12 @@ impl Column {
     }
 
     /// A copy of the values, for [`Self::restore`].
-    pub(crate) fn keep(&self, world: &mut World) -> TangentOptions {
+    pub(crate) fn keep(&self, world: &mut World) -> KeptColumn {
         (self.keep)(world)
     }
 
     /// Restores the values of a copy.
-    pub(crate) fn restore(&self, world: &mut World, kept: &TangentOptions) {
+    pub(crate) fn restore(&self, world: &mut World, kept: &KeptColumn) {
         (self.restore)(world, kept);
     }
 }

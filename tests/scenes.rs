@@ -92,6 +92,42 @@ fn a_scene_without_a_skin_gets_a_quarter_of_a_particle_spacing_whatever_it_is_ov
 }
 
 #[test]
+fn every_shipped_scene_keeps_its_neighbours_when_the_resolution_changes() {
+    for Shipped { name, .. } in SHIPPED {
+        let usual = open(name, &[]).unwrap();
+        let expected = if usual.dimension == 2 { 0.2_f64 } else { 0.335 };
+        assert_eq!(usual.fluid.smoothing_length.to_bits(), expected.to_bits(), "{name}");
+        let width = |scene: &Scene| {
+            let spacing = scene.fluid.box_length / scene.fluid.particles_per_side as f64;
+            scene.fluid.smoothing_length / spacing
+        };
+        for side in [8, 32, 64] {
+            let other = open(name, &[&format!("fluid.particles_per_side={side}")]).unwrap();
+            assert!((width(&other) / width(&usual) - 1.0).abs() < 1e-14, "{name} {side}");
+        }
+    }
+}
+
+#[test]
+fn the_width_that_is_said_last_counts_and_two_in_one_text_are_refused() {
+    let h = |overrides: &[&str]| open("inverse-3d", overrides).unwrap().fluid.smoothing_length;
+    assert_eq!(h(&["fluid.smoothing_length=0.5"]).to_bits(), 0.5_f64.to_bits());
+    assert_eq!(
+        h(&["fluid.h_over_spacing=1.2", "fluid.smoothing_length=0.5"]).to_bits(),
+        0.5_f64.to_bits()
+    );
+    assert_eq!(
+        h(&["fluid.smoothing_length=0.5", "fluid.box_length=16", "fluid.h_over_spacing=1"])
+            .to_bits(),
+        1.0_f64.to_bits()
+    );
+    let both = GOOD.replace("smoothing_length", "h_over_spacing = 1.2\nsmoothing_length");
+    assert_says(&refusal(&both, &[]), &["one of the two widths", "fluid.h_over_spacing"]);
+    let text = refusal(GOOD, &["fluid.h_over_spacing=wide"]);
+    assert_says(&text, &["fluid.h_over_spacing", "a number", "wide"]);
+}
+
+#[test]
 fn a_misspelt_key_is_refused_with_its_line_and_the_keys_there_are() {
     let text = GOOD.replace("smoothing_length = 0.6", "smoothing = 0.6");
     let message = refusal(&text, &[]);

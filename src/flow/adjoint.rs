@@ -2,7 +2,7 @@
 
 use super::{Flow, State, in_pool};
 use crate::error::Result;
-use crate::systems::columns::{Column, TangentOptions};
+use crate::systems::columns::{Column, KeptColumn};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
@@ -22,7 +22,7 @@ pub struct Snapshot<const D: usize> {
     accelerations: Vec<Vector<f64, D>>,
     reference: Vec<Vector<f64, D>>,
     /// Columns of terms, in order.
-    columns: Vec<TangentOptions>,
+    columns: Vec<KeptColumn>,
 }
 
 impl<const D: usize> Snapshot<D> {

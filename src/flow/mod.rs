@@ -217,7 +217,7 @@ impl<const D: usize> Flow<D> {
                 format!("scene {}", scene.name),
                 format!("a step chosen for the accuracy {asked} that it asks for"),
                 "none yet",
-                "let `trade::settle` choose one first",
+                "let `trade::calibrate_step` choose one first",
             ));
         }
         if scene.dimension == D {

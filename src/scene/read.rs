@@ -138,11 +138,13 @@ impl Scene {
         if let Some(shipped) = shipped {
             table.insert("name".to_owned(), shipped.name.into());
         }
+        must_say_one_width(&table, &origin)?;
         let own = shipped.map_or(&[][..], |shipped| shipped.overrides);
         for assignment in own.iter().copied().chain(overrides.iter().map(String::as_str)) {
             assign(&mut table, assignment)?;
         }
-        if !(own.is_empty() && overrides.is_empty()) {
+        let resolved = resolve_width(&mut table, &origin)?;
+        if resolved || !(own.is_empty() && overrides.is_empty()) {
             // Serialised again, so that an error can quote the current line.
             text = table.to_string();
         }
@@ -239,6 +241,60 @@ fn assign(table: &mut Table, assignment: &str) -> Result<()> {
             )
         })?;
     }
+    // The width that is said last counts.
+    match key.trim() {
+        "fluid.smoothing_length" => drop(table.remove(OVER_SPACING)),
+        "fluid.h_over_spacing" => drop(table.remove(LENGTH)),
+        _ => {}
+    }
     table.insert(last.to_owned(), value);
     Ok(())
+}
+
+/// The smoothing length in the unit of the box.
+const LENGTH: &str = "smoothing_length";
+
+/// The smoothing length in particle spacings: what stays when the resolution changes.
+const OVER_SPACING: &str = "h_over_spacing";
+
+/// Refuses a text that says the smoothing length twice.
+fn must_say_one_width(table: &Table, origin: &str) -> Result<()> {
+    let fluid = table.get("fluid").and_then(Value::as_table);
+    if fluid.is_some_and(|fluid| fluid.contains_key(LENGTH) && fluid.contains_key(OVER_SPACING)) {
+        let found = format!("fluid.{LENGTH} and fluid.{OVER_SPACING}");
+        let remedy =
+            "keep h_over_spacing where the number of neighbours shall not depend on the resolution";
+        return Err(Error::input(origin, "one of the two widths of the kernel", found, remedy));
+    }
+    Ok(())
+}
+
+/// Puts `fluid.smoothing_length` in place of `fluid.h_over_spacing`, `h = (h/Δx) L/n` to fifteen digits; whether there
+/// was one.
+fn resolve_width(table: &mut Table, origin: &str) -> Result<bool> {
+    let Some(fluid) = table.get_mut("fluid").and_then(Value::as_table_mut) else {
+        return Ok(false);
+    };
+    let Some(asked) = fluid.remove(OVER_SPACING) else { return Ok(false) };
+    let number = |value: &Value| match value {
+        Value::Float(x) => Some(*x),
+        Value::Integer(n) => Some(*n as f64),
+        _ => None,
+    };
+    let side = fluid.get("box_length").map_or(Some(std::f64::consts::TAU), number);
+    let count = fluid.get("particles_per_side").and_then(number);
+    let (Some(ratio), Some(side), Some(count)) = (number(&asked), side, count) else {
+        let place = format!("{origin}: fluid.{OVER_SPACING}");
+        let expected = "a number, beside numbers of particles_per_side and box_length";
+        return Err(Error::input(
+            place,
+            expected,
+            asked,
+            "give h over the spacing of the particles",
+        ));
+    };
+    // Fifteen digits are what a length that was written in decimals survives.
+    let h = format!("{:.14e}", ratio * side / count).parse().unwrap_or(f64::NAN);
+    fluid.insert(LENGTH.to_owned(), Value::Float(h));
+    Ok(true)
 }
