@@ -188,6 +188,8 @@ impl History {
             if self.count() == KEPT as u64 {
                 self.thin();
             }
+            // A copy of a history has no room of its own: all of it at once, so that no later step allocates.
+            self.marks.reserve_exact((KEPT * self.waves).saturating_sub(self.marks.len()));
             self.marks.extend(waves.iter().map(|wave| [wave.cosine, wave.sine]));
         }
     }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Speed {
     /// To look at a flow.
-    ListBuilder,
+    Draft,
     /// To measure it.
     Balanced,
     /// To compare others with it.
@@ -25,12 +25,12 @@ pub enum Speed {
 
 impl Speed {
     /// All of them, the fastest first.
-    pub const ALL: [Self; 3] = [Self::ListBuilder, Self::Balanced, Self::Exact];
+    pub const ALL: [Self; 3] = [Self::Draft, Self::Balanced, Self::Exact];
 
     /// The accuracy in smoothing lengths.
     pub fn accuracy(self) -> f64 {
         match self {
-            Self::ListBuilder => 1e-2,
+            Self::Draft => 1e-2,
             Self::Balanced => 2e-3,
             Self::Exact => 1e-4,
         }
@@ -39,7 +39,7 @@ impl Speed {
     /// Its name in scenes.
     pub fn name(self) -> &'static str {
         match self {
-            Self::ListBuilder => "draft",
+            Self::Draft => "draft",
             Self::Balanced => "balanced",
             Self::Exact => "exact",
         }

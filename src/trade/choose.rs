@@ -45,12 +45,12 @@ pub struct Choice {
 /// before; otherwise with a step chosen from the state that `start` makes of the scene as written.
 ///
 /// ```
-/// use whirls::trade::settle;
+/// use whirls::trade::calibrate_step;
 /// use whirls::{Flow, Scene};
 ///
 /// let small = ["fluid.particles_per_side=10", "fluid.smoothing_length=0.64", "speed=draft"];
 /// let scene = Scene::open("inverse-2d", &small.map(str::to_owned))?;
-/// let choice = settle(&scene, |written| Ok(Flow::<2>::new(written)?.state()))?;
+/// let choice = calibrate_step(&scene, |written| Ok(Flow::<2>::new(written)?.state()))?;
 /// assert!(choice.scene.chosen.is_some_and(|chosen| chosen.error <= 1e-2));
 /// # Ok::<(), whirls::Error>(())
 /// ```
@@ -229,7 +229,7 @@ mod tests {
         let (scene, state) = small(&["accuracy=1e-2"]);
         let refused =
             Flow::from_state(&scene, &state).map_or_else(|e| e.to_string(), |_| "".into());
-        assert!(refused.contains("trade::settle") && refused.contains("0.01"), "{refused}");
+        assert!(refused.contains("trade::calibrate_step") && refused.contains("0.01"), "{refused}");
     }
 
     #[test]
