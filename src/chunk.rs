@@ -3,7 +3,7 @@
 use crate::list_builder::{ListBuilder, Lists};
 use crate::pairs::{Surroundings, pick};
 use crate::scalar::{SimdFloat, WIDTH};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 
 /// Particles per chunk, the unit of parallel work. It is fixed, so that no result depends on the
 /// number of threads.
@@ -164,7 +164,7 @@ impl Chunk {
 
     /// The box, as pairs of the chunk's `k`-th slot need it.
     #[inline(always)]
-    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
+    pub fn around(&self, k: usize, space: Space) -> Surroundings {
         Surroundings { space, seam: self.seam[k] }
     }
 

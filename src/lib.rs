@@ -13,6 +13,7 @@ pub mod evaluation;
     allow(dead_code, reason = "readers of recordings and arrays use it")
 )]
 mod files;
+pub mod fixed_point;
 pub mod flow;
 pub mod forcing;
 pub mod interrupt;

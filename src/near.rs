@@ -3,7 +3,7 @@
 use crate::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
 use crate::pairs::Surroundings;
 use crate::scalar::{SimdFloat, SimdTask, WIDTH, dispatch};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 
 /// The neighbours within `2h` of [`CHUNK`] consecutive slots. All loops over pairs run over these,
 /// except that of the density.
@@ -58,7 +58,7 @@ impl Near {
 
     /// The box, as pairs of the `k`-th slot need it.
     #[inline(always)]
-    pub fn around(&self, k: usize, space: PeriodicBox) -> Surroundings {
+    pub fn around(&self, k: usize, space: Space) -> Surroundings {
         Surroundings { space, seam: self.seam[k] }
     }
 
@@ -181,7 +181,7 @@ mod tests {
                 let (some, sentinel) = found.split_at(kept.len());
                 assert_eq!(some, kept, "{k} from {first}");
                 assert!(sentinel.len() < WIDTH && sentinel.iter().all(|&slot| slot == million));
-                assert_eq!(near.around(k, PeriodicBox { length: 1.0 }).seam, k == 2);
+                assert_eq!(near.around(k, Space::cube(1.0)).seam, k == 2);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Particles packed for the loops over pairs.
 
 use crate::scalar::{F64x8, SimdFloat};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 
 /// The inputs of a pair loop for one particle: one cache line.
@@ -27,9 +27,9 @@ impl Packed {
 
 /// The inputs of a pair loop for one particle in single precision: half a cache line.
 ///
-/// Coordinates are fixed-point numbers, in steps of `L·2⁻³²` (1.5e-9 in a box of 2π). A difference
-/// of two coordinates wraps around as the box does, so that it is exactly the difference of the
-/// nearest images.
+/// Coordinates are fixed-point numbers, in steps of `L·2⁻³²` of each axis (1.5e-9 in a box of 2π). A
+/// difference of two coordinates wraps around as the box does, so that it is exactly the difference
+/// of the nearest images.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub struct PackedSingle {
@@ -52,38 +52,34 @@ impl PackedSingle {
     pub const SENTINEL: Self =
         Self { position: [0; 3], density: -1.0, velocity: [0.0; 3], p_over_rho2: 0.0 };
 
-    /// A coordinate in fixed-point steps: modulo 2³², as the box is modulo `L`.
+    /// A coordinate along an axis in fixed-point steps: modulo 2³², as the axis is modulo `L`.
     #[inline(always)]
-    pub fn fixed_point(x: f64, space: PeriodicBox) -> i32 {
-        // Added to this number, `x` is rounded to the nearest whole number, ties to even, in the
-        // low bits of the sum.
-        const SHIFT: f64 = 6_755_399_441_055_744.0;
-        (x * (Self::STEPS / space.length) + SHIFT).to_bits() as i32
-    }
-
-    /// Squared distances, in steps: below the first a pair is certainly within `reach`, from the
-    /// second on certainly not. The relative error of such a square is 4e-7 in `f32`, the
-    /// quantisation error of a distance `1e-9 L`.
-    pub fn limits(reach: f64, space: PeriodicBox) -> [f32; 2] {
-        let steps = reach * (Self::STEPS / space.length);
-        let doubt = 1e-6 + 1e-8 * space.length / reach;
-        [(steps * steps * (1.0 - doubt)) as f32, (steps * steps * (1.0 + doubt)) as f32]
+    pub fn fixed_point(x: f64, axis: usize, space: Space) -> i32 {
+        nearest(x * (Self::STEPS / space.side(axis)))
     }
 
     /// Rounds a particle.
     #[inline(always)]
-    pub fn new(particle: &Packed, space: PeriodicBox) -> Self {
+    pub fn new(particle: &Packed, space: Space) -> Self {
         let mut single = Self {
             density: particle.density as f32,
             p_over_rho2: particle.p_over_rho2 as f32,
             ..Self::SENTINEL
         };
         for axis in 0..3 {
-            single.position[axis] = Self::fixed_point(particle.position[axis], space);
+            single.position[axis] = Self::fixed_point(particle.position[axis], axis, space);
             single.velocity[axis] = particle.velocity[axis] as f32;
         }
         single
     }
+}
+
+/// The nearest whole number, ties to even, modulo 2³².
+#[inline(always)]
+pub(crate) fn nearest(x: f64) -> i32 {
+    // Added to this number, `x` is rounded to a whole number in the low bits of the sum.
+    const SHIFT: f64 = 6_755_399_441_055_744.0;
+    (x + SHIFT).to_bits() as i32
 }
 
 /// The sensitivities of a particle for a pair loop: eight parameters per number.

@@ -5,14 +5,14 @@ pub use crate::list_builder::{ListBuilder, Lists};
 use crate::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, SimdFloat, WIDTH};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 
 /// The box, as the pairs of one particle need it.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings {
     /// The box.
-    pub space: PeriodicBox,
+    pub space: Space,
     /// Whether differences to its neighbours need the nearest image.
     pub seam: bool,
 }
@@ -44,7 +44,7 @@ pub struct Neighbourhood<'a> {
     /// The chunk, and its neighbours within the support.
     pub near: &'a Near,
     /// The box.
-    pub space: PeriodicBox,
+    pub space: Space,
 }
 
 /// The scalars that the law between two particles may depend on, for the directed pair `i ← j`.

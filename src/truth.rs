@@ -9,7 +9,7 @@ use crate::kernel::{KernelChoice, Smoothing};
 use crate::losses::{IncrementDensities, Mesh, Points, field, sampling_floor};
 use crate::packed::Packed;
 use crate::scene::{Learn, Scene, Times};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -134,11 +134,11 @@ impl<const D: usize> Truth<D> {
     pub fn observations(&self, scene: &Scene, learn: &Learn) -> Result<Observations<D>> {
         self.must_be_whole()?;
         self.must_be_finite()?;
-        let per_axis = learn
-            .mesh
-            .unwrap_or_else(|| (scene.particles() as f64).powf(1.0 / D as f64).round() as usize);
-        let mesh = Mesh { per_axis, length: scene.fluid.box_length };
-        let space = PeriodicBox { length: scene.fluid.box_length };
+        let space = scene.space();
+        let mesh = match learn.mesh {
+            Some(along_first) => Mesh::over(space, along_first),
+            None => Mesh::of_particles(space, scene.particles()),
+        };
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
         let observation = |(k, (state, densities)): (usize, (&State<D>, &Vec<f64>))| {
             let increments =
@@ -198,17 +198,17 @@ pub fn statistical_floor<const D: usize>(
     Ok(learn.statistical_weight(learn.every as f64 * scene.dt()) * sum)
 }
 
-/// Densities `ρᵢ = Σⱼ m W(rᵢⱼ, h)` of particles at any positions, each of mass `m = Lᵈ/N`.
+/// Densities `ρᵢ = Σⱼ m W(rᵢⱼ, h)` of particles at any positions, each of mass `m = V/N`.
 pub fn summed_densities<const D: usize>(
     (kernel, h): (KernelChoice, f64),
-    space: PeriodicBox,
+    space: Space,
     positions: &[Vector<f64, D>],
 ) -> Vec<f64> {
     let smoothing = Smoothing::<_, D>::of(kernel.in_dimension(D), h);
     let positions: Vec<_> = positions.iter().map(|&r| space.wrap(r)).collect();
     let mut cells = Cells::default();
     cells.sort(&positions, space, smoothing.support());
-    let mass = space.length.powi(D as i32) / positions.len() as f64;
+    let mass = space.volume::<D>() / positions.len() as f64;
     let density = |&here: &Vector<f64, D>| {
         let mut sum = 0.0;
         for range in cells.around(cells.coordinates(here)).ranges() {
@@ -231,7 +231,7 @@ pub fn velocity_field<const D: usize>(
 ) -> Vec<Vector<f64, D>> {
     let kernel = scene.fluid.kernel.in_dimension(D);
     let smoothing = Smoothing::<_, D>::of(kernel, scene.fluid.smoothing_length);
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     let mut cells = Cells::default();
     let positions: Vec<_> = state.positions.iter().map(|&r| space.wrap(r)).collect();
     cells.sort(&positions, space, smoothing.support());
@@ -242,7 +242,7 @@ pub fn velocity_field<const D: usize>(
         p_over_rho2: 0.0,
     };
     let packed: Vec<Packed> = cells.row_of_slot.iter().map(line).collect();
-    let mass = space.length.powi(D as i32) / packed.len() as f64;
+    let mass = space.volume::<D>() / packed.len() as f64;
     let points = Points { packed: &packed, cells: &cells, space, smoothing: &smoothing, mass };
     field(mesh, &points)
 }

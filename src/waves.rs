@@ -1,19 +1,20 @@
 //! Plane waves in a periodic box: fields that are sums of a few Fourier modes, exact at any
 //! position.
 //!
-//! `u(x) = Σ a cos(k n·x) + b sin(k n·x)` with integer wave vectors `n` and `k = 2π/L`. A wave with
-//! `a ⟂ n` and `b ⟂ n` has zero divergence. The sum costs six to eight nanoseconds per wave and
+//! `u(x) = Σ a cos(κ·x) + b sin(κ·x)` with wave vectors `κ = 2π (n_x/L_x, n_y/L_y, …)` of integers `n`. A
+//! wave with `a ⟂ κ` and `b ⟂ κ` has zero divergence. The sum costs six to eight nanoseconds per wave and
 //! position: powers of `e^{ikx}` along each axis are multiplied up once per position, so that no
 //! wave needs a sine of its own.
 
 use crate::scalar::F64x8;
+use crate::space::Space;
 use crate::vector::Vector;
 use num_complex::Complex;
 
 /// Component of a wave vector, maximum.
 pub const LONGEST: usize = 64;
 
-/// One wave, `a cos(k n·x) + b sin(k n·x)`.
+/// One wave, `a cos(κ·x) + b sin(κ·x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wave {
     /// Integer wave vector `n`; its third component is 0 in two dimensions.
@@ -27,7 +28,8 @@ pub struct Wave {
 /// A sum of waves in a box.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waves {
-    k: f64,
+    /// `2π/L` of each axis.
+    k: [f64; 3],
     longest: usize,
     pub(crate) list: Vec<Wave>,
 }
@@ -47,16 +49,27 @@ pub fn wave_vectors(dimension: usize, longest: f64) -> Vec<[i32; 3]> {
     all
 }
 
+/// `2π/L` of each axis.
+pub fn wave_numbers(space: Space) -> [f64; 3] {
+    std::array::from_fn(|axis| std::f64::consts::TAU / space.side(axis))
+}
+
+/// A direction that a wave vector of integers has in a box: `n_x/L_x, n_y/L_y, …` in units of the
+/// first axis, so that it is `n` in a cube.
+pub(crate) fn direction(n: [i32; 3], space: Space) -> [f64; 3] {
+    std::array::from_fn(|axis| f64::from(n[axis]) * (space.side(0) / space.side(axis)))
+}
+
 impl Waves {
-    /// The sum of some waves in a box of side `length`.
+    /// The sum of some waves in a box; along an open axis the side of the box is their period.
     ///
     /// # Panics
     /// Where a component of a wave vector is larger than [`LONGEST`].
-    pub fn new(length: f64, list: Vec<Wave>) -> Self {
+    pub fn new(space: Space, list: Vec<Wave>) -> Self {
         let components = list.iter().flat_map(|wave| wave.n);
         let longest = components.map(|n| n.unsigned_abs() as usize).max().unwrap_or(0);
         assert!(longest <= LONGEST, "a wave vector has a component of {longest}");
-        Self { k: std::f64::consts::TAU / length, longest, list }
+        Self { k: wave_numbers(space), longest, list }
     }
 
     /// The waves.
@@ -64,8 +77,8 @@ impl Waves {
         &self.list
     }
 
-    /// `k = 2π/L`.
-    pub fn wave_number(&self) -> f64 {
+    /// `2π/L` of each axis.
+    pub fn wave_numbers(&self) -> [f64; 3] {
         self.k
     }
 
@@ -87,7 +100,7 @@ impl Waves {
         sum
     }
 
-    /// `δu = Σ (b cos − a sin) k n·δx`, eight directions at once.
+    /// `δu = Σ (b cos − a sin) κ·δx`, eight directions at once.
     pub fn tangent<const D: usize>(
         &self,
         x: [f64; 3],
@@ -98,34 +111,39 @@ impl Waves {
         for wave in &self.list {
             let slope = self.slope::<D>(wave, phases.of(wave.n));
             let mut along = F64x8::ZERO;
-            (0..D).for_each(|axis| along += change[axis] * f64::from(wave.n[axis]));
+            (0..D).for_each(|axis| along += change[axis] * self.relative(wave, axis));
             (0..D).for_each(|axis| sum[axis] += along * slope[axis]);
         }
         sum
     }
 
-    /// `∂L/∂x = Σ k n (b cos − a sin)·∂L/∂u`: the pullback of the field.
+    /// `∂L/∂x = Σ κ (b cos − a sin)·∂L/∂u`: the pullback of the field.
     pub fn pullback<const D: usize>(&self, x: [f64; 3], adjoint: Vector<f64, D>) -> Vector<f64, D> {
         let phases = self.phases(x);
         let mut sum = Vector::zero();
         for wave in &self.list {
             let across = self.slope::<D>(wave, phases.of(wave.n)).dot(adjoint);
-            (0..D).for_each(|axis| sum[axis] += f64::from(wave.n[axis]) * across);
+            (0..D).for_each(|axis| sum[axis] += self.relative(wave, axis) * across);
         }
         sum
     }
 
-    /// `k (b cos − a sin)`: the derivative of a wave by its phase, times `k`.
+    /// A component of the wave vector, in units of `2π/L` of the first axis.
+    fn relative(&self, wave: &Wave, axis: usize) -> f64 {
+        f64::from(wave.n[axis]) * (self.k[axis] / self.k[0])
+    }
+
+    /// `k (b cos − a sin)`: the derivative of a wave by its phase, times `k = 2π/L` of the first axis.
     fn slope<const D: usize>(&self, wave: &Wave, z: Complex<f64>) -> Vector<f64, D> {
-        let along = |axis: usize| self.k * (wave.sine[axis] * z.re - wave.cosine[axis] * z.im);
+        let along = |axis: usize| self.k[0] * (wave.sine[axis] * z.re - wave.cosine[axis] * z.im);
         Vector(std::array::from_fn(along))
     }
 
     fn phases(&self, x: [f64; 3]) -> Phases {
         let one = Complex::new(1.0, 0.0);
         let mut powers = [[one; LONGEST + 1]; 3];
-        for (powers, x) in powers.iter_mut().zip(x) {
-            powers[1] = Complex::cis(self.k * x);
+        for ((powers, x), k) in powers.iter_mut().zip(x).zip(self.k) {
+            powers[1] = Complex::cis(k * x);
             // By halving: round-off grows with the logarithm of the exponent.
             for m in 2..=self.longest {
                 powers[m] = powers[m / 2] * powers[m - m / 2];
@@ -166,7 +184,7 @@ mod tests {
             let cosine = std::array::from_fn(|axis| number(axis, 0.3));
             Wave { n, cosine, sine: std::array::from_fn(|axis| number(axis, 4.1)) }
         });
-        Waves::new(length, list.collect())
+        Waves::new(Space::cube(length), list.collect())
     }
 
     #[test]
@@ -188,7 +206,7 @@ mod tests {
             let mut expected = [0.0; 3];
             for wave in waves.list() {
                 let along: f64 = (0..3).map(|axis| f64::from(wave.n[axis]) * x[axis]).sum();
-                let (sin, cos) = (waves.wave_number() * along).sin_cos();
+                let (sin, cos) = (waves.wave_numbers()[0] * along).sin_cos();
                 for (axis, sum) in expected.iter_mut().enumerate() {
                     *sum += wave.cosine[axis] * cos + wave.sine[axis] * sin;
                 }
@@ -204,7 +222,14 @@ mod tests {
 
     #[test]
     fn tangent_and_pullback_are_the_derivative() {
-        let waves = waves(3, 2.5, 1.7);
+        let mut waves = waves(3, 2.5, 1.7);
+        for sides in [[1.7; 3], [1.7, 2.3, 0.9]] {
+            waves.k = wave_numbers(Space::new(sides, [crate::space::Axis::Periodic; 3]));
+            pulls_back(&waves);
+        }
+    }
+
+    fn pulls_back(waves: &Waves) {
         let (x, step) = ([0.31, 1.62, 0.77], 1e-5);
         let direction = [0.4, -0.7, 0.2];
         let moved = |by: f64| waves.at::<3>(std::array::from_fn(|a| x[a] + by * direction[a]));

@@ -20,7 +20,7 @@ use crate::pairs::{
     AHEAD, CHUNK, Chunk, Entry, Lines, MAX_BLOCKS_PER_TASK, Neighbourhood, adjoints, separation,
 };
 use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch, dispatch_by_kernel};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -51,7 +51,7 @@ impl<const D: usize> Term<D> for DensitySummation {
 struct DensityPass<'a, const D: usize> {
     lines: Lines<'a>,
     chunk: &'a Chunk,
-    space: PeriodicBox,
+    space: Space,
     medium: &'a Medium<D>,
     density: &'a mut [f64],
     masks: &'a mut [u8],
@@ -96,7 +96,7 @@ pub fn sum_density<const D: usize>(
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let (model, scratch_pool) = (laws.model(), &laws.model.scratch_pool);
-    let (space, medium) = (neighbours.space, model.medium());
+    let (space, medium) = (neighbours.embedded, model.medium());
     let (mut density, mut masks) =
         (std::mem::take(&mut cloud.density), std::mem::take(&mut cloud.masks));
     masks.resize_with(neighbours.chunks.len(), Vec::new);

@@ -7,10 +7,9 @@
 
 use crate::cells::Cells;
 use crate::chunk::FEW;
-use crate::packed::PackedSingle;
 use crate::pairs::{CHUNK, Chunk, Entry, ListBuilder, Lists};
 use crate::scalar::{SimdFloat, SimdTask, WIDTH, Window};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 
 /// Sixteen words.
@@ -138,7 +137,7 @@ pub(super) struct ListPass<'a, const D: usize> {
     /// Positions by row.
     pub(super) position: &'a (dyn Fn(usize) -> Vector<f64, D> + Sync),
     pub(super) cells: &'a Cells<D>,
-    pub(super) space: PeriodicBox,
+    pub(super) space: Space,
     /// The reach of the lists, and the largest displacement of a particle while they are used.
     pub(super) reach: (f64, f64),
 }
@@ -201,12 +200,13 @@ impl<const D: usize> ListPass<'_, D> {
     /// The limits on distances, in window steps.
     fn steps(&self) -> Steps {
         let (reach, carried) = self.reach;
-        let fixed_point = PackedSingle::STEPS / self.space.length;
+        let fixed_point = self.cells.fixed_point().steps_per_length();
         let shift = self.cells.window_shift();
         let step = f64::from(1_u32 << shift);
-        // Coordinates are truncated to window steps and were rounded to fixed point before. The
-        // error of a difference is below one window step plus one fixed-point step along each axis.
-        let doubt = (D as f64).sqrt() * (1.0 + 1.0 / step) + 1e-3;
+        // Coordinates are truncated to window steps and were rounded to fixed point before, as
+        // periods may be. The error of a difference is below one window step plus two fixed-point
+        // steps along each axis.
+        let doubt = (D as f64).sqrt() * (1.0 + 2.0 / step) + 1e-3;
         let r = reach * fixed_point / step;
         let least = (r - doubt).max(0.0);
         // A conversion to `u32` saturates at `u32::MAX`, above which no squared distance lies.
@@ -293,6 +293,10 @@ impl<const D: usize> ListPass<'_, D> {
         let mut count = 0;
         for range in around.ranges() {
             let (from, end) = (range.from as usize, range.to as usize);
+            // Positions of an image are compared with the window shifted the other way.
+            let middle = self.cells.fixed_point().seen_from(window.middle, range.image);
+            let window = &Window { middle, ..*window };
+            let own = if range.image == [0; 3] { own } else { usize::MAX };
             if !E::BY_SLOT && (from < base || end > base + FEW + 1) {
                 return false;
             }
@@ -384,8 +388,8 @@ impl<const D: usize> ListPass<'_, D> {
     #[inline(always)]
     fn is_near_seam(&self, slot: usize, margin: u32) -> bool {
         let mut near = false;
-        for x in self.place(slot) {
-            near |= (x as u32).wrapping_add(margin) <= margin.saturating_mul(2);
+        for (axis, x) in self.place(slot).into_iter().enumerate() {
+            near |= self.cells.fixed_point().is_near_seam(x, axis, margin);
         }
         near
     }

@@ -8,8 +8,6 @@
 
 use super::particles::Position;
 use crate::cells::Cells;
-use crate::packed::PackedSingle;
-use crate::space::PeriodicBox;
 use rayon::prelude::*;
 
 /// Cells per parallel task, minimum: fewer are not worth another thread.
@@ -81,19 +79,20 @@ impl Movement {
         &mut self,
         (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
         positions: &[Position<D>],
-        space: PeriodicBox,
     ) -> f64 {
+        let fixed_point = cells.fixed_point();
         let all = self.bounds.par_iter_mut().with_min_len(CELLS).enumerate();
         let farthest = all.map(|(cell, bounds)| {
             *bounds = Bounds::NONE;
             let mut farthest = 0.0_f64;
             for slot in cells.range(cell) {
                 let position = positions[cells.row_of_slot[slot] as usize].0;
-                let (mut moved, mut square) = ([0; D], 0.0);
-                for axis in 0..D {
-                    let now = PackedSingle::fixed_point(position[axis], space);
-                    moved[axis] = now.wrapping_sub(columns[axis][slot]);
-                    square += f64::from(moved[axis]) * f64::from(moved[axis]);
+                let mut before = [0; D];
+                (0..D).for_each(|axis| before[axis] = columns[axis][slot]);
+                let moved = fixed_point.moved(fixed_point.of(position), before);
+                let mut square = 0.0;
+                for x in moved {
+                    square += f64::from(x) * f64::from(x);
                 }
                 bounds.see(moved);
                 farthest = farthest.max(square);
@@ -108,11 +107,10 @@ impl Movement {
     pub(super) fn tears<const D: usize>(
         &self,
         cells: &Cells<D>,
-        space: PeriodicBox,
         (skin, carried): (f64, f64),
     ) -> bool {
         let bounds = &self.bounds;
-        let steps = PackedSingle::STEPS / space.length;
+        let steps = cells.fixed_point().steps_per_length();
         // A displacement has an error of one step, a product in `f32` one of a few parts in ten
         // million.
         let limit = |distance: f64| ((distance * steps - 4.0).max(0.0) * (1.0 - 1e-6)) as f32;

@@ -5,7 +5,7 @@ use super::neighbours::Neighbours;
 use crate::models::Scratch;
 use crate::near::Near;
 use crate::pairs::{Chunk, Lines, Neighbourhood};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 
 /// All pairs of an evaluation: the particles, their neighbour lists, and the masks of the
 /// neighbours within the support.
@@ -18,7 +18,7 @@ pub struct Pairs<'a> {
     lines: Lines<'a>,
     chunks: &'a [Chunk],
     masks: &'a [Vec<u8>],
-    space: PeriodicBox,
+    space: Space,
 }
 
 impl<'a> Pairs<'a> {
@@ -28,7 +28,7 @@ impl<'a> Pairs<'a> {
         neighbours: &'a Neighbours<D>,
         masks: &'a [Vec<u8>],
     ) -> Self {
-        Self { lines, chunks: &neighbours.chunks, masks, space: neighbours.space }
+        Self { lines, chunks: &neighbours.chunks, masks, space: neighbours.embedded }
     }
 
     /// Number of chunks.

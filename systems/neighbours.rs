@@ -12,11 +12,11 @@ use super::particles::{Cloud, ParticleId, Particles, Pool, Position};
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
 use crate::cells::{Cells, MIN_PARALLEL_LEN};
-use crate::packed::PackedSingle;
+use crate::fixed_point::FixedPoint;
 use crate::pairs::MAX_BLOCKS_PER_TASK;
 pub use crate::pairs::{CHUNK, Chunk};
 use crate::scalar::{WIDTH, dispatch};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -30,7 +30,10 @@ const CARRIED: f64 = 0.25;
 #[derive(Resource, Debug)]
 pub struct Neighbours<const D: usize> {
     /// The box.
-    pub space: PeriodicBox,
+    pub space: Space,
+    /// The box of the lists in use, with the length of the embedding along open axes: see
+    /// [`FixedPoint`].
+    pub(super) embedded: Space,
     /// Radius of the kernel, `2h`.
     pub support: f64,
     /// How much farther than the support the lists reach.
@@ -53,10 +56,16 @@ pub struct Neighbours<const D: usize> {
 }
 
 impl<const D: usize> Neighbours<D> {
-    /// An empty list; the first use builds it.
-    pub fn new(space: PeriodicBox, support: f64, skin: f64) -> Self {
+    /// An empty list; the first use builds it. In a box that is no periodic cube the skin is at most
+    /// such that the lists reach half the shortest period.
+    pub fn new(space: Space, support: f64, skin: f64) -> Self {
+        let skin = match space.is_periodic_cube::<D>() {
+            true => skin,
+            false => skin.min((0.5 * space.shortest_period::<D>() - support).max(0.0)),
+        };
         Self {
             space,
+            embedded: space,
             support,
             skin,
             cells: Cells::default(),
@@ -133,12 +142,12 @@ impl<const D: usize> Neighbours<D> {
 
     /// Whether the lists hold all pairs within the support at these positions.
     fn still_hold(&mut self, positions: &[Position<D>]) -> bool {
-        let farthest = self.movement.bound((&self.cells, &self.columns), positions, self.space);
+        let farthest = self.movement.bound((&self.cells, &self.columns), positions);
         // If no particle has moved half a skin, no two particles have moved a skin apart.
-        let steps = PackedSingle::STEPS / self.space.length;
+        let steps = self.cells.fixed_point().steps_per_length();
         // Each rounded coordinate has an error of half a step.
         farthest < (0.5 * self.skin * steps - 4.0).max(0.0).powi(2)
-            || !self.movement.tears(&self.cells, self.space, (self.skin, self.carried()))
+            || !self.movement.tears(&self.cells, (self.skin, self.carried()))
     }
 
     /// Largest displacement of a particle between two rebuilds.
@@ -161,14 +170,15 @@ impl<const D: usize> Neighbours<D> {
         }
         cloud.resize(count);
         let reach = (self.support + self.skin, self.carried());
-        self.cells.sort_by(&position, self.space, reach.0, &mut cloud.slot_of_row);
+        let margin = reach.0 + reach.1;
+        let fixed_point = FixedPoint::new(self.space, margin, (0..count).map(&position));
+        self.embedded = fixed_point.space();
+        self.cells.sort_by(&position, fixed_point, reach.0, &mut cloud.slot_of_row);
         self.movement.resize(self.cells.count());
         let (cells, space) = (&self.cells, self.space);
         self.columns.iter_mut().for_each(|column| column.resize(count + 2 * WIDTH, 0));
         let columns = self.columns.each_mut().map(|column| &mut column[..count]);
-        fix(columns, &cells.row_of_slot, &|row| {
-            position(row).0.map(|x| PackedSingle::fixed_point(x, space))
-        });
+        fix(columns, &cells.row_of_slot, &|row| fixed_point.of(position(row)));
         // Lists that the tape still needs stay there; otherwise their memory is reused.
         let mut chunks = Arc::get_mut(&mut self.chunks).map(std::mem::take).unwrap_or_default();
         chunks.resize(count.div_ceil(CHUNK), Chunk::default());
@@ -216,7 +226,7 @@ fn fix<const D: usize>(
 /// pairs: the oracle of the cell list.
 pub fn brute_force<const D: usize>(
     positions: &[Vector<f64, D>],
-    space: PeriodicBox,
+    space: Space,
     radius: f64,
 ) -> Vec<(usize, usize)> {
     let near = |i: usize, j: usize| {

@@ -93,7 +93,7 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
             line.position = positions[row as usize].0.to_3d();
         }
     });
-    cloud.round(integrator.space);
+    cloud.round(neighbours.embedded);
 }
 
 /// All rows of a column of sensitivity blocks, in the order in which the blocks were spawned. Only

@@ -9,6 +9,7 @@ use crate::packed::Packed;
 use crate::pairs::CHUNK;
 use crate::parameters::ParameterSpec;
 use crate::scalar::{Dual, F64x8, Scalar};
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -23,8 +24,10 @@ pub struct ParticleState<T, const D: usize> {
     pub velocity: Vector<T, D>,
     /// Time.
     pub time: f64,
-    /// Side of the box.
+    /// Side of the box, along its first axis.
     pub length: f64,
+    /// The box.
+    pub space: Space,
 }
 
 /// A force on each particle that depends on its own position and velocity, on time and on parameters: drag, gravity,
@@ -171,23 +174,24 @@ impl<F: ParticleForce, const D: usize> Term<D> for ForceOnParticles<F> {
     }
 }
 
-/// Time of a force evaluation, and side of the box.
+/// Time of a force evaluation, and the box.
 #[derive(Clone, Copy)]
 struct When {
     time: f64,
-    length: f64,
+    space: Space,
 }
 
 impl When {
     fn of(clock: &Clock, integrator: &Integrator) -> Self {
         let time = clock.time_at(clock.evaluated, integrator.dt);
-        Self { time, length: integrator.space.length }
+        Self { time, space: integrator.space }
     }
 
     fn state<T: Scalar, const D: usize>(self, p: &Packed) -> ParticleState<T, D> {
         let vector = |x: [f64; 3]| Vector::<f64, D>::from_3d(x).map(T::of);
         let (position, velocity) = (vector(p.position), vector(p.velocity));
-        ParticleState { position, velocity, time: self.time, length: self.length }
+        let (time, space) = (self.time, self.space);
+        ParticleState { position, velocity, time, length: space.side(0), space }
     }
 }
 

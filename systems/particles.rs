@@ -11,7 +11,7 @@ use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::{CHUNK, Lines};
 use crate::scalar::{F64x8, Precision};
 use crate::sensitivity::Coupling;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -234,7 +234,7 @@ impl<const D: usize> Cloud<D> {
     }
 
     /// Rounds the lines to `f32` in mixed precision; does nothing in double precision.
-    pub fn round(&mut self, space: PeriodicBox) {
+    pub fn round(&mut self, space: Space) {
         if self.precision == Precision::Mixed {
             let particles = &self.packed[..self.slot_of_row.len()];
             self.singles.resize(particles.len() + 1, PackedSingle::SENTINEL);

@@ -6,6 +6,7 @@ use super::particles::{AdjointCloud, Cloud, ParticleId, PositionAdjoint, Velocit
 use super::verlet::Clock;
 use crate::losses::StateAdjoint;
 use crate::packed::Packed;
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::sync::Arc;
@@ -16,6 +17,8 @@ pub struct Evaluation {
     packed: Vec<Packed>,
     slot_of_row: Vec<u32>,
     chunks: Arc<Vec<Chunk>>,
+    /// The box of these lists.
+    embedded: Option<Space>,
     /// Masks of the neighbours within the support; see [`Cloud::masks`].
     masks: Vec<Vec<u8>>,
     /// The step of these positions.
@@ -111,12 +114,13 @@ impl<const D: usize> Tape<D> {
     }
 
     /// Records a force evaluation.
-    fn push(&mut self, cloud: &Cloud<D>, chunks: &Arc<Vec<Chunk>>, step: u64) {
+    fn push(&mut self, cloud: &Cloud<D>, neighbours: &Neighbours<D>, step: u64) {
         let mut evaluation = self.spare.0.pop().unwrap_or_default();
         evaluation.packed.clone_from(&cloud.packed);
         evaluation.slot_of_row.clone_from(&cloud.slot_of_row);
         evaluation.masks.clone_from(&cloud.masks);
-        (evaluation.chunks, evaluation.step) = (Arc::clone(chunks), step);
+        (evaluation.chunks, evaluation.step) = (Arc::clone(&neighbours.chunks), step);
+        evaluation.embedded = Some(neighbours.embedded);
         self.evaluations.push(evaluation);
     }
 
@@ -135,7 +139,8 @@ impl<const D: usize> Tape<D> {
         neighbours.chunks = std::mem::take(&mut evaluation.chunks);
         // The lists are older than the cells: the next forward step rebuilds both.
         neighbours.invalidate();
-        cloud.round(neighbours.space);
+        neighbours.embedded = evaluation.embedded.unwrap_or(neighbours.space);
+        cloud.round(neighbours.embedded);
         self.discard(evaluation);
         Some(step)
     }
@@ -194,7 +199,7 @@ pub fn record_evaluation<const D: usize>(
     // The neighbours found while running backwards are not those of this evaluation.
     adjoint.sifted = None;
     if tape.running {
-        tape.push(&cloud, &neighbours.chunks, clock.evaluated);
+        tape.push(&cloud, &neighbours, clock.evaluated);
     }
 }
 

@@ -10,7 +10,7 @@ use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
 use crate::cells::MIN_PARALLEL_LEN;
 use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
@@ -74,7 +74,7 @@ pub struct Integrator {
     /// Time step.
     pub dt: f64,
     /// The box that positions are wrapped into.
-    pub space: PeriodicBox,
+    pub space: Space,
 }
 
 /// Where a World is in time.

@@ -44,7 +44,7 @@ pub fn loneliness<const D: usize>(neighbours: &Neighbours<D>, cloud: &Cloud<D>) 
     let count = cloud.len();
     let mean = neighbours.pairs(cloud) as f64 / count.max(1) as f64;
     (count > 1 && mean < LONELY).then(|| {
-        let spacing = neighbours.space.length / (count as f64).powf(1.0 / D as f64);
+        let spacing = neighbours.space.spacing::<D>(count);
         format!(
             "particles have {mean:.1} neighbours each, because the kernel reaches {:.4} and they are {spacing:.4} \
              apart: set fluid.smoothing_length = {:.4}",

@@ -212,7 +212,7 @@ fn summed_densities_are_those_of_a_flow_in_every_kernel() {
         let scene = scene(&[&format!("fluid.kernel={kernel}")]);
         let mut flow = Flow::<2>::new(&scene).unwrap();
         flow.start().unwrap();
-        let space = whirls::space::PeriodicBox { length: scene.fluid.box_length };
+        let space = scene.space();
         let sums = summed_densities((scene.fluid.kernel, 0.8), space, &flow.state().positions);
         for (sum, rho) in sums.iter().zip(flow.densities()) {
             assert!((sum / rho - 1.0).abs() < 1e-12, "{kernel}: {sum} {rho}");
@@ -243,7 +243,7 @@ fn densities_in_other_units_are_refused() {
 #[test]
 fn densities_of_another_smoothing_length_are_refused_and_those_of_noise_are_not() {
     let own = scene(&[]);
-    let space = whirls::space::PeriodicBox { length: own.fluid.box_length };
+    let space = whirls::space::Space::cube(own.fluid.box_length);
     for h in [0.67, 0.79, 0.81, 0.9] {
         let mut other = truth();
         for (state, rho) in other.states.iter().zip(&mut other.densities) {
@@ -406,7 +406,7 @@ fn a_state_outside_the_box_makes_the_same_bits_as_its_image_inside() {
         // Whole boxes away, and back by the same subtraction, so that both positions are equal to
         // the bit.
         let away = Vector(r.0.map(|x| x + length * (k % 3) as f64 - length));
-        let space = whirls::space::PeriodicBox { length };
+        let space = whirls::space::Space::cube(length);
         *r = space.wrap(away);
     }
     let inside = moved.clone();

@@ -9,7 +9,7 @@ use common::{
 };
 use proptest::prelude::*;
 use whirls::flow::State;
-use whirls::space::PeriodicBox;
+use whirls::space::Space;
 use whirls::systems::neighbours::{Neighbours, brute_force};
 use whirls::systems::particles::Cloud;
 use whirls::vector::Vector;
@@ -106,7 +106,7 @@ proptest! {
         (x, y) in (0.0..1.0_f64, 0.0..1.0_f64),
         length in 0.1..100.0_f64,
     ) {
-        let space = PeriodicBox { length };
+        let space = Space::cube(length);
         let found = space.minimum_image(Vector([(x - y) * length])).0[0];
         let all = (-2..=2).map(|k| ((x - y) * length + f64::from(k) * length).abs());
         let shortest = all.fold(f64::INFINITY, f64::min);

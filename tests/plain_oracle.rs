@@ -12,6 +12,7 @@ use whirls::flow::State;
 use whirls::forcing::ornstein_uhlenbeck::{OrnsteinUhlenbeck, Settings};
 use whirls::forcing::{Power, stochastic_modes};
 use whirls::scene::{Forcing, KernelName};
+use whirls::space::Space;
 use whirls::systems::verlet::Step;
 
 in_2d_and_3d!(
@@ -158,7 +159,8 @@ impl Plain {
             }
             Forcing::Stochastic { interval, strength } => {
                 let draw = (time / interval).floor() as u64;
-                let modes = stochastic_modes(self.dimension, self.length, self.seed, draw);
+                let modes =
+                    stochastic_modes(self.dimension, Space::cube(self.length), self.seed, draw);
                 let at = |r: &Vec<f64>| -> Vec<f64> {
                     let wave = |axis: usize| {
                         let each = modes.iter().map(|mode| {
@@ -174,8 +176,13 @@ impl Plain {
             Forcing::OrnsteinUhlenbeck { power, correlation_time, band } => {
                 let settings = Settings { power, correlation_time, band };
                 let (dimension, length) = (self.dimension, self.length);
-                let mut process =
-                    OrnsteinUhlenbeck::new(settings, dimension, length, self.dt, self.seed);
+                let mut process = OrnsteinUhlenbeck::new(
+                    settings,
+                    dimension,
+                    Space::cube(length),
+                    self.dt,
+                    self.seed,
+                );
                 let step = (time / self.dt).floor() as u64;
                 let waves = process.modes_at(step).list().to_vec();
                 let at = |r: &Vec<f64>| -> Vec<f64> {

@@ -48,7 +48,7 @@ impl<const D: usize> SimdTask for Everything<'_, D> {
 
     #[inline(always)]
     fn run<W: SimdFloat>(self) -> Vec<u64> {
-        let space = whirls::space::PeriodicBox { length: self.length };
+        let space = whirls::space::Space::cube(self.length);
         let space = Surroundings { space, seam: true };
         let mut bits = Vec::new();
         let mut put = |x: F64x8| bits.extend(x.to_array().map(f64::to_bits));

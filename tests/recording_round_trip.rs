@@ -29,6 +29,8 @@ fn run(dimension: usize) -> RunInfo {
         scene_toml: "name = \"test\"\n".into(),
         dimension,
         box_length: std::f64::consts::TAU,
+        sides: Vec::new(),
+        boundary: Vec::new(),
         speed_scale: 1.5,
         parameters: vec!["c".into(), "alpha, with \"marks\"".into()],
         metadata: BTreeMap::from([("seed".into(), "7".into())]),

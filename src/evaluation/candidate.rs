@@ -89,7 +89,7 @@ impl Candidate {
     pub fn must_fit(&self, truth: &Scene) -> Result<()> {
         let kind = |scene: &Scene| {
             let (fluid, step) = (&scene.fluid, scene.time.step);
-            let (edge, h, kernel) = (fluid.box_length, fluid.smoothing_length, fluid.kernel);
+            let (edge, h, kernel) = (scene.box_words(), fluid.smoothing_length, fluid.kernel);
             let (dt, every) = (scene.dt(), scene.observed_every());
             format!(
                 "{} dimensions, box {edge}, h {h}, kernel {kernel:?}, dt {dt}, step {step:?}, \

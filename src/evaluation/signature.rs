@@ -4,7 +4,6 @@ use super::{Rollout, SampleTimes};
 use crate::error::Result;
 use crate::losses::{Density1d, Mesh};
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
 use crate::statistics::{
     Displacement, Moments, Structure, close_pairs, energy_spectrum, pair_dispersion,
     structure_functions,
@@ -46,8 +45,8 @@ impl FlowStatistics {
             return Self::default();
         };
         let mut signature = Self::default();
-        let space = PeriodicBox { length: scene.fluid.box_length };
-        let spacing = space.length / (first.positions.len() as f64).powf(1.0 / D as f64);
+        let space = scene.space();
+        let spacing = space.spacing::<D>(first.positions.len());
         let pairs = close_pairs(&first.positions, space, 1.2 * spacing);
         let mut displacement = Displacement::new(space, &first.positions);
         for state in &course.states[1..] {
@@ -72,8 +71,7 @@ impl FlowStatistics {
 
     /// Spectrum and structure functions, means over the last marks.
     fn fields<const D: usize>(&mut self, scene: &Scene, course: &Rollout<D>) {
-        let per_axis = (scene.particles() as f64).powf(1.0 / D as f64).round() as usize;
-        let mesh = Mesh { per_axis, length: scene.fluid.box_length };
+        let mesh = Mesh::of_particles(scene.space(), scene.particles());
         let late = course.states.len().saturating_sub(AVERAGED).max(1);
         let states = course.states.iter().zip(&course.densities).skip(late);
         let share = 1.0 / states.len().max(1) as f64;
@@ -81,7 +79,10 @@ impl FlowStatistics {
             let field = velocity_field(scene, &mesh, state, densities);
             let spectrum = energy_spectrum(&mesh, &field);
             let structure = structure_functions(&mesh, &field);
-            self.spectrum.resize(per_axis / 2, 0.0);
+            if !spectrum.is_empty() {
+                let shells = mesh.per_axis.iter().max().map_or(0, |n| n / 2);
+                self.spectrum.resize(shells, 0.0);
+            }
             // The first entry is the mean flow.
             let shells = self.spectrum.iter_mut().zip(spectrum.iter().skip(1));
             shells.for_each(|(mean, now)| *mean += share * now);

@@ -5,7 +5,6 @@ use super::Candidate;
 use crate::error::Result;
 use crate::flow::{Flow, State};
 use crate::scene::Forcing;
-use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -55,7 +54,7 @@ impl Symmetry {
         let mut flow = candidate.unstirred(state)?;
         flow.start()?;
         let here = flow.accelerations();
-        let space = PeriodicBox { length: candidate.scene.fluid.box_length };
+        let space = candidate.scene.space();
         let mut generator = ChaCha8Rng::seed_from_u64(7);
         let mut vector = || Vector::<f64, D>([(); D].map(|()| generator.sample(StandardNormal)));
         let (shift, boost) = (vector(), vector());
@@ -104,14 +103,19 @@ struct Ball<'a, const D: usize> {
 impl<'a, const D: usize> Ball<'a, D> {
     /// Cuts a ball around the middle of the box, including periodic images as needed.
     fn cut(candidate: &'a Candidate, state: &State<D>) -> Self {
-        let fluid = &candidate.scene.fluid;
-        let (length, h) = (fluid.box_length, fluid.smoothing_length);
-        let untouched = 0.25 * length;
+        let (space, h) = (candidate.scene.space(), candidate.scene.fluid.smoothing_length);
+        let shortest = space.shortest::<D>();
+        let untouched = 0.25 * shortest;
         // A neighbour is up to 2h away, and its density depends on particles another 2h away.
         let radius = untouched + 4.0 * h;
         let mut ball = State { time: state.time, ..State::default() };
-        for image in images::<D>((radius / length).ceil() as i32) {
-            let shift = image * length + Vector([-0.5 * length; D]);
+        for image in images::<D>((radius / shortest).ceil() as i32) {
+            // An open axis has no images.
+            if (0..D).any(|axis| !space.is_periodic(axis) && image[axis] != 0.0) {
+                continue;
+            }
+            let along = |axis: usize| image[axis] * space.side(axis) - 0.5 * space.side(axis);
+            let shift = Vector(std::array::from_fn(along));
             for (&r, &v) in state.positions.iter().zip(&state.velocities) {
                 if (r + shift).norm() < radius {
                     ball.positions.push(r + shift);
@@ -127,6 +131,8 @@ impl<'a, const D: usize> Ball<'a, D> {
         let mut scene = self.candidate.scene.clone();
         scene.forcing = Forcing::None;
         scene.fluid.box_length = self.edge;
+        scene.fluid.sides.clear();
+        scene.fluid.boundary.clear();
         // At the free surface densities are meaningless, and so are the limits.
         (scene.limits.courant, scene.limits.energy) = (f64::MAX, f64::MAX);
         let rotated = |all: &[Vector<f64, D>]| all.iter().map(|&x| rotate(turn, x)).collect();

@@ -7,7 +7,6 @@ use crate::packed::PackedSensitivity;
 use crate::parameters::Parameters;
 use crate::scalar::{F64x8, WIDTH};
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
 use crate::systems::acceleration::{Laws, PairForces, PairTerm};
 use crate::systems::density::DensitySummation;
 use crate::systems::forcing;
@@ -83,7 +82,7 @@ pub(super) fn parameters_of<const D: usize>(
 }
 
 pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     let h = scene.fluid.smoothing_length;
     world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
     world.insert_resource(Clock::default());

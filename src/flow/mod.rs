@@ -21,6 +21,7 @@ use crate::parameters::{Parameter, Parameters};
 use crate::scalar::WIDTH;
 use crate::scene::Scene;
 use crate::sensitivity::Coupling;
+use crate::space::Space;
 use crate::systems::Needs;
 use crate::systems::loss::{LossSum, Losses, Observations, losses};
 use crate::systems::neighbours::Neighbours;
@@ -368,9 +369,9 @@ impl<const D: usize> Flow<D> {
         lanes.flat_map(|lanes| lanes.to_array()).map(|x| x * x).sum::<f64>().sqrt()
     }
 
-    /// Side of the periodic box.
-    pub fn box_length(&self) -> f64 {
-        self.world.resource::<Integrator>().space.length
+    /// The box.
+    pub fn space(&self) -> Space {
+        self.world.resource::<Integrator>().space
     }
 
     /// The parameters of the sensitivities, column by column.

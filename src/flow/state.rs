@@ -1,7 +1,6 @@
 //! The state of a flow, and its initial state.
 
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
 use crate::vector::Vector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -21,16 +20,15 @@ impl<const D: usize> State<D> {
     /// The lattice of a scene with its first particle in the corner, perturbed by the scene's seed,
     /// with the velocities of the scene's field.
     pub fn initial(scene: &Scene) -> Self {
-        let per_side = scene.fluid.particles_per_side;
-        let spacing = scene.fluid.box_length / per_side as f64;
-        let space = PeriodicBox { length: scene.fluid.box_length };
+        let (lattice, spacing) = (scene.lattice(), scene.spacing());
+        let space = scene.space();
         let mut generator = stream(scene.seed, Stream::Initial);
         let jitter = scene.initial.jitter;
         let mut state = Self::default();
         for mut index in 0..scene.particles() {
-            let corner = Vector::<f64, D>(std::array::from_fn(|_| {
-                let along = index % per_side;
-                index /= per_side;
+            let corner = Vector::<f64, D>(std::array::from_fn(|axis| {
+                let along = index % lattice[axis];
+                index /= lattice[axis];
                 along as f64 * spacing
             }));
             let mut shaken = corner;

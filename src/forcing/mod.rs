@@ -7,7 +7,9 @@ pub mod ornstein_uhlenbeck;
 
 use crate::packed::{Packed, PackedSensitivity};
 use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, dispatch};
+use crate::space::Space;
 use crate::vector::Vector;
+use crate::waves::direction;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -243,18 +245,19 @@ impl Mode {
     }
 }
 
-/// The modes `0 < |n| < 2.5` of a box of side `length`, one of each pair `±n` (10 in 2D, 40 in 3D),
-/// of strength `0.25 ((2.5 − |n|)/1.5)² |n|`. Phases (and directions in 3D) depend on the `seed`
+/// The modes `0 < |n| < 2.5` of a box, one of each pair `±n` (10 in 2D, 40 in 3D), of strength
+/// `0.25 ((2.5 − |n|)/1.5)² |n|`, and with wave vectors `2π (n_x/L_x, n_y/L_y, …)`; in a box that is no cube
+/// the last `|n|` is the length of `L_x` times that vector over 2π. Phases (and directions in 3D) depend on the `seed`
 /// and on the number `interval` of the interval of time, not on the time step.
-pub fn stochastic_modes(dimension: usize, length: f64, seed: u64, interval: u64) -> Vec<Mode> {
+pub fn stochastic_modes(dimension: usize, space: Space, seed: u64, interval: u64) -> Vec<Mode> {
     let mut modes = Vec::new();
-    draw_stochastic_modes((dimension, length), (seed, interval), &mut modes);
+    draw_stochastic_modes((dimension, space), (seed, interval), &mut modes);
     modes
 }
 
 /// Replaces `modes` by [`stochastic_modes`], and reuses their memory.
 pub(crate) fn draw_stochastic_modes(
-    (dimension, length): (usize, f64),
+    (dimension, space): (usize, Space),
     (seed, interval): (u64, u64),
     modes: &mut Vec<Mode>,
 ) {
@@ -266,14 +269,15 @@ pub(crate) fn draw_stochastic_modes(
     let positive = |n: &[i32; 3]| n.iter().rev().find(|&&x| x != 0).is_some_and(|&x| x > 0);
     modes.clear();
     for n in lattice.filter(positive) {
+        let across = direction(n, space);
         let n = n.map(f64::from);
         let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
         if size < 2.5 {
             let phase = TAU * generator.random::<f64>();
-            let direction = perpendicular(n, dimension, TAU * generator.random::<f64>());
+            let direction = perpendicular(across, dimension, TAU * generator.random::<f64>());
             let strength = 0.25 * ((2.5 - size) / 1.5).powi(2);
             modes.push(Mode {
-                k: n.map(|x| x * TAU / length),
+                k: std::array::from_fn(|axis| n[axis] * TAU / space.side(axis)),
                 amplitude: direction.map(|x| x * strength),
                 phase,
             });
@@ -295,13 +299,16 @@ fn perpendicular(n: [f64; 3], dimension: usize, angle: f64) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::space::Axis;
 
     #[test]
     fn there_are_10_modes_in_2d_and_40_in_3d_and_none_has_divergence() {
         for (dimension, count) in [(2, 10), (3, 40)] {
-            let modes = stochastic_modes(dimension, 3.0, 1, 5);
-            assert_eq!(modes.len(), count);
-            for mode in modes {
+            let long = Space::new([3.0, 5.0, 2.0], [Axis::Periodic; 3]);
+            let [modes, others] =
+                [Space::cube(3.0), long].map(|space| stochastic_modes(dimension, space, 1, 5));
+            assert_eq!([modes.len(), others.len()], [count; 2]);
+            for mode in modes.into_iter().chain(others) {
                 let along: f64 = (0..3).map(|axis| mode.k[axis] * mode.amplitude[axis]).sum();
                 assert!(along.abs() < 1e-14);
             }
@@ -310,9 +317,18 @@ mod tests {
 
     #[test]
     fn the_same_seed_and_interval_draw_the_same_modes_and_others_do_not() {
-        assert_eq!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 7, 2));
-        assert_ne!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 7, 3));
-        assert_ne!(stochastic_modes(3, 1.0, 7, 2), stochastic_modes(3, 1.0, 8, 2));
+        assert_eq!(
+            stochastic_modes(3, Space::cube(1.0), 7, 2),
+            stochastic_modes(3, Space::cube(1.0), 7, 2)
+        );
+        assert_ne!(
+            stochastic_modes(3, Space::cube(1.0), 7, 2),
+            stochastic_modes(3, Space::cube(1.0), 7, 3)
+        );
+        assert_ne!(
+            stochastic_modes(3, Space::cube(1.0), 7, 2),
+            stochastic_modes(3, Space::cube(1.0), 8, 2)
+        );
     }
 
     #[test]

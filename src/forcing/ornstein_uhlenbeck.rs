@@ -19,7 +19,8 @@
 //! adjoint with checkpoints does, with the same bits.
 
 use crate::flow::{Stream, stream};
-use crate::waves::{Wave, Waves, wave_vectors};
+use crate::space::Space;
+use crate::waves::{Wave, Waves, direction, wave_vectors};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -55,6 +56,7 @@ pub struct Settings {
 pub struct OrnsteinUhlenbeck {
     /// The waves at `step`.
     waves: Waves,
+    space: Space,
     step: u64,
     generator: ChaCha8Rng,
     dimension: usize,
@@ -66,18 +68,18 @@ pub struct OrnsteinUhlenbeck {
 }
 
 impl OrnsteinUhlenbeck {
-    /// The forcing in a periodic box of side `length`, with steps of `dt`, at step 0.
-    pub fn new(settings: Settings, dimension: usize, length: f64, dt: f64, seed: u64) -> Self {
+    /// The forcing in a box, with steps of `dt`, at step 0.
+    pub fn new(settings: Settings, dimension: usize, space: Space, dt: f64, seed: u64) -> Self {
         let Settings { power, correlation_time, band } = settings;
         let rest = |n| Wave { n, cosine: [0.0; 3], sine: [0.0; 3] };
         let list: Vec<Wave> = wave_vectors(dimension, band).into_iter().map(rest).collect();
         let freedom = ((dimension - 1) * list.len().max(1)) as f64;
         let width = (power / correlation_time / freedom).sqrt();
         let history = History::new(list.len());
-        let waves = Waves::new(length, list);
+        let waves = Waves::new(space, list);
         let generator = stream(seed, Stream::Forcing);
         let mut start =
-            Self { waves, step: 0, generator, dimension, decay: 0.0, kick: width, history };
+            Self { waves, space, step: 0, generator, dimension, decay: 0.0, kick: width, history };
         start.advance(0);
         start.history.keep(0, &start.waves.list);
         start.decay = (-dt / correlation_time).exp();
@@ -101,10 +103,10 @@ impl OrnsteinUhlenbeck {
 
     /// Advances the amplitudes from the step before `step` to `step`.
     fn advance(&mut self, step: u64) {
-        let Self { waves, generator, dimension, decay, kick, .. } = self;
+        let Self { waves, space, generator, dimension, decay, kick, .. } = self;
         generator.set_word_pos(u128::from(step) << WORDS);
         for wave in &mut waves.list {
-            let n = wave.n.map(f64::from);
+            let n = direction(wave.n, *space);
             for amplitude in [&mut wave.cosine, &mut wave.sine] {
                 let drawn = normal_across(n, *dimension, generator);
                 for (amplitude, drawn) in amplitude.iter_mut().zip(drawn) {
@@ -214,7 +216,7 @@ mod tests {
     const SETTINGS: Settings = Settings { power: 0.3, correlation_time: 0.5, band: 2.5 };
 
     fn forcing(dimension: usize, dt: f64, seed: u64) -> OrnsteinUhlenbeck {
-        OrnsteinUhlenbeck::new(SETTINGS, dimension, 3.0, dt, seed)
+        OrnsteinUhlenbeck::new(SETTINGS, dimension, Space::cube(3.0), dt, seed)
     }
 
     #[test]

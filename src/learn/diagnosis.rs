@@ -2,7 +2,6 @@
 
 use super::Learner;
 use crate::error::Error;
-use crate::space::PeriodicBox;
 use crate::systems::loss::Observations;
 
 /// Ratio, or inverse ratio, of the distance between frames and the distance from velocities, above
@@ -44,8 +43,7 @@ impl<const D: usize> Learner<D> {
     /// A warning where recorded velocities do not match the recorded positions: wrong units, times
     /// or rows.
     pub(super) fn doubt_of_data(&self) -> Option<String> {
-        let (length, interval) = self.units;
-        let space = PeriodicBox { length };
+        let (space, interval) = self.units;
         let next = self.flow.world().get_resource::<Observations<D>>()?.frames.first()?.clone();
         let moves = next.positions.iter().zip(&self.from.positions);
         let moved: f64 = moves.map(|(&a, &b)| space.minimum_image(a - b).norm()).sum();

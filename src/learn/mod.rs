@@ -20,6 +20,7 @@ use crate::optimisers::Coordinates;
 use crate::parameters::{Domain, Parameter, ParameterSpec};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Coupling, Gradient, SHORTEN, adjoint_gradient};
+use crate::space::Space;
 use crate::systems::loss::{LossSum, Observations};
 use crate::truth::Truth;
 use rand::RngExt;
@@ -120,7 +121,7 @@ pub struct Learner<const D: usize> {
     /// The learner that searches before this one.
     warm_up: Option<Box<Self>>,
     /// Side of the box, and the time between frames.
-    units: (f64, f64),
+    units: (Space, f64),
     /// Whether the frames are recorded particles.
     is_recorded: bool,
 }
@@ -142,7 +143,7 @@ impl<const D: usize> Learner<D> {
             }
         };
         let places = flow.places(&columns)?;
-        let units = (scene.fluid.box_length, scene.observed_interval());
+        let units = (scene.space(), scene.observed_interval());
         let (held, warm_up, is_recorded) = (0, None, false);
         Ok(Self {
             flow,

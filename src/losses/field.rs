@@ -9,7 +9,7 @@ use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
 use crate::packed::Packed;
 use crate::scalar::{SimdFloat, SimdTask, dispatch_doubles_by_kernel};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -32,7 +32,7 @@ pub struct Points<'a, K, const D: usize> {
     /// Cells wide enough for the support plus the displacements since they were sorted.
     pub cells: &'a Cells<D>,
     /// The box.
-    pub space: PeriodicBox,
+    pub space: Space,
     /// The kernel.
     pub smoothing: &'a Smoothing<K, D>,
     /// Mass of a particle.
@@ -61,7 +61,7 @@ impl Bins {
         let plane = |p: &Packed| lattice.first(p.position[D - 1]) as u32;
         let mut planes: Vec<u32> = packed.par_iter().with_min_len(CHUNK).map(plane).collect();
         let (mut start, mut slots) = (Vec::new(), Vec::new());
-        counting_sort(&mut planes, lattice.per_axis, &mut start, &mut slots);
+        counting_sort(&mut planes, lattice.per_axis[D - 1], &mut start, &mut slots);
         Self { start, slots }
     }
 
@@ -106,11 +106,11 @@ impl<K: Kernel, const D: usize> Givers<'_, K, D> {
 /// Adds the padded rows of a plane to its nodes.
 fn fold<const D: usize>(rows: [&[f64]; D], lattice: &PaddedGrid<D>, nodes: &mut [Vector<f64, D>]) {
     let PaddedGrid { per_axis, width, .. } = *lattice;
-    for (number, nodes) in nodes.chunks_exact_mut(per_axis).enumerate() {
+    for (number, nodes) in nodes.chunks_exact_mut(per_axis[0]).enumerate() {
         for axis in 0..D {
             let mut row = &rows[axis][number * width..][..width];
             while !row.is_empty() {
-                let (now, beyond) = row.split_at(per_axis.min(row.len()));
+                let (now, beyond) = row.split_at(per_axis[0].min(row.len()));
                 nodes.iter_mut().zip(now).for_each(|(node, x)| node[axis] += x);
                 row = beyond;
             }
@@ -179,7 +179,8 @@ pub fn field<K: Kernel, const D: usize>(
     }
     let lattice = PaddedGrid::new(mesh, points.smoothing.support());
     let bins = &Bins::new(&lattice, points.packed);
-    let (n, plane) = (mesh.per_axis, mesh.len() / mesh.per_axis);
+    let n = mesh.per_axis[D - 1];
+    let plane = mesh.len() / n;
     let planes = FEWEST_PLANES.max(FEWEST_NODES.div_ceil(plane)).min(n);
     let tasks = (0..n.div_ceil(planes)).into_par_iter();
     let givers = tasks.map(|task| {
@@ -252,11 +253,11 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
 /// The values at all nodes, axis by axis, as padded rows and planes: each row, and the sequence of
 /// planes, is continued periodically past its end.
 fn unfold<const D: usize>(nodes: &[Vector<f64, D>], lattice: &PaddedGrid<D>) -> [Vec<f64>; D] {
-    let numbers = lattice.planes(lattice.per_axis) * lattice.numbers_per_plane();
-    let again = lattice.width - lattice.per_axis;
+    let numbers = lattice.planes(lattice.per_axis[D - 1]) * lattice.numbers_per_plane();
+    let again = lattice.width - lattice.per_axis[0];
     let mut columns = [(); D].map(|()| Vec::with_capacity(numbers));
     for (axis, column) in columns.iter_mut().enumerate() {
-        for row in nodes.chunks_exact(lattice.per_axis) {
+        for row in nodes.chunks_exact(lattice.per_axis[0]) {
             column.extend(row.iter().map(|node| node[axis]));
             column.extend(row.iter().cycle().take(again).map(|node| node[axis]));
         }
@@ -351,10 +352,10 @@ mod tests {
         };
         let mut packed: Vec<Packed> = (0..particles).map(line).collect();
         packed[0].position = [0.0; 3];
-        let (space, cells) = (PeriodicBox { length }, Cells::default());
+        let (space, cells) = (Space::cube(length), Cells::default());
         let smoothing = &Smoothing::<CubicSpline, D>::new(0.5 * reach);
         let points = Points { packed: &packed, cells: &cells, space, smoothing, mass: 0.3 };
-        let mesh = Mesh { per_axis: n, length };
+        let mesh = Mesh::cube(length, n);
         let truth: Vec<_> = (0..mesh.len()).map(|k| mesh.node(k) * 0.7).collect();
         let (plain, found) = (plainly(&mesh, &points), field(&mesh, &points));
         for (plain, found) in plain.iter().zip(&found) {

@@ -5,7 +5,7 @@ use super::SquareSum;
 use super::field::{CHUNK, Points, field_value, sum_lanes};
 use super::mesh::Mesh;
 use crate::kernel::Kernel;
-use crate::packed::{Packed, PackedSensitivity, PackedSingle};
+use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::{Eight, ListBuilder, pick};
 use crate::scalar::{
     F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_doubles_by_kernel, transposed,
@@ -21,7 +21,7 @@ struct Search<'a, K, const D: usize> {
     lines: Vec<Packed>,
     /// Fixed-point coordinates in cell order, padded by two [`WIDTH`].
     columns: [Vec<i32>; D],
-    /// Squared distances up to which particles may be in reach, see [`PackedSingle::limits`].
+    /// Squared distances up to which particles may be in reach, see [`crate::fixed_point::FixedPoint::limits`].
     limits: [f32; 2],
 }
 
@@ -41,15 +41,17 @@ struct Seen<W, const D: usize> {
 
 impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     fn new(points: &'a Points<'a, K, D>) -> Self {
-        let column = |axis: usize| {
-            let place = |p: &Packed| PackedSingle::fixed_point(p.position[axis], points.space);
-            points.packed.iter().map(place).chain([0; 2 * WIDTH]).collect()
-        };
+        let place = |slot: usize| Vector::from_3d(points.packed[slot].position);
+        let mut columns = [(); D].map(|()| Vec::with_capacity(points.packed.len() + 2 * WIDTH));
+        for place in points.cells.places(place) {
+            columns.iter_mut().zip(place).for_each(|(column, x)| column.push(x));
+        }
+        columns.iter_mut().for_each(|column| column.extend([0; 2 * WIDTH]));
         let lines =
             points.packed.iter().map(|p| Packed { p_over_rho2: points.mass / p.density, ..*p });
         let lines = lines.chain([Packed::SENTINEL]).collect();
-        let limits = PackedSingle::limits(points.smoothing.support(), points.space);
-        Self { points, lines, columns: std::array::from_fn(column), limits }
+        let limits = points.cells.fixed_point().limits(points.smoothing.support());
+        Self { points, lines, columns, limits }
     }
 
     /// The slots of all particles in reach of the place `x`, padded with the sentinel to whole
@@ -60,16 +62,14 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
         x: Vector<f64, D>,
         near: &'b mut ListBuilder,
     ) -> &'b [[u32; WIDTH]] {
-        let Points { cells, space, .. } = self.points;
-        let mut here = [0; D];
-        for axis in 0..D {
-            here[axis] = PackedSingle::fixed_point(x[axis], *space);
-        }
+        let cells = self.points.cells;
+        let place = cells.fixed_point().of(x);
         near.clear();
         let around = cells.around(cells.coordinates(x));
         near.open(around.candidates());
         for range in around.ranges() {
             let end = range.to as usize;
+            let here = cells.fixed_point().seen_from(place, range.image);
             for first in (range.from as usize..end).step_by(2 * WIDTH) {
                 let inside = u16::MAX >> (2 * WIDTH - (end - first).min(2 * WIDTH));
                 // A particle just out of reach has zero weight.
@@ -297,7 +297,7 @@ pub fn field_loss<K: Kernel, const D: usize>(
     let weight = weight / (mesh.len() * D) as f64;
     // Neighbouring nodes average over the same particles: on a fine mesh not every node is
     // independent.
-    let independent = points.smoothing.square_integral() * points.space.length.powi(D as i32);
+    let independent = points.smoothing.square_integral() * points.space.volume::<D>();
     sum.count = D as f64 * independent.min(mesh.len() as f64);
     sum.size = weight * truth.iter().map(|v| v.norm_squared()).sum::<f64>();
     let search = &Search::new(points);

@@ -73,22 +73,24 @@ pub(super) trait Meet<W: SimdFloat, const D: usize> {
     fn meet(&mut self, places: [usize; 2], apart: &Vector<W, D>, square: W);
 }
 
-/// A periodically padded mesh, for particles of one reach. Each row is continued past its end, and
-/// so are the planes beyond the periodic boundary, so that every block of nodes is contiguous.
+/// A padded mesh, for particles of one reach. Each row is continued past its end, and so are the
+/// planes beyond the periodic boundary, so that every block of nodes is contiguous. Along an open
+/// axis a block ends where the mesh does.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PaddedGrid<const D: usize> {
     /// Nodes along each axis.
-    pub(super) per_axis: usize,
+    pub(super) per_axis: [usize; D],
     /// Length of a padded row.
     pub(super) width: usize,
-    /// Nodes in reach of a particle along an axis, maximum.
-    most: usize,
-    spacing: f64,
-    inverse_spacing: f64,
+    /// Nodes in reach of a particle along each axis, maximum.
+    most: [usize; D],
+    spacing: [f64; D],
+    inverse_spacing: [f64; D],
     /// Reach of a particle.
     reach: f64,
-    /// The reach along an axis: at most half the box, because of the nearest image.
-    along: f64,
+    /// The reach along each axis: at most half a period, because of the nearest image.
+    along: [f64; D],
+    is_periodic: [bool; D],
 }
 
 /// The block of nodes in reach of a place, axis by axis.
@@ -104,27 +106,37 @@ struct Block<const D: usize> {
 
 impl<const D: usize> PaddedGrid<D> {
     pub(super) fn new(mesh: &Mesh<D>, reach: f64) -> Self {
-        let (per_axis, spacing) = (mesh.per_axis, mesh.length / mesh.per_axis as f64);
-        let (along, inverse_spacing) = (reach.min(0.5 * mesh.length), 1.0 / spacing);
-        let most = ((2.0 * along * inverse_spacing) as usize + 2).min(per_axis);
-        let width = per_axis + most.next_multiple_of(WIDTH);
-        Self { per_axis, width, most, spacing, inverse_spacing, reach, along }
+        let (mut along, mut most) = ([reach; D], [0; D]);
+        let per_axis = mesh.per_axis;
+        let spacing: [f64; D] = std::array::from_fn(|axis| mesh.spacing(axis));
+        let inverse_spacing = spacing.map(|spacing| 1.0 / spacing);
+        let is_periodic = std::array::from_fn(|axis| mesh.space.is_periodic(axis));
+        for axis in 0..D {
+            if is_periodic[axis] {
+                along[axis] = reach.min(0.5 * mesh.space.side(axis));
+            }
+            let nodes = (2.0 * along[axis] * inverse_spacing[axis]) as usize + 2;
+            most[axis] = nodes.min(per_axis[axis]);
+        }
+        let width = per_axis[0] + most[0].next_multiple_of(WIDTH);
+        Self { per_axis, width, most, spacing, inverse_spacing, reach, along, is_periodic }
     }
 
     /// Numbers in a plane of padded rows, that is, at one index along the last axis.
     pub(super) fn numbers_per_plane(&self) -> usize {
-        self.per_axis.pow(D as u32 - 2) * self.width
+        self.per_axis[1..D - 1].iter().product::<usize>() * self.width
     }
 
     /// Number of planes in reach of particles with `firsts` consecutive first planes, plus one.
     pub(super) fn planes(&self, firsts: usize) -> usize {
-        firsts + self.most
+        firsts + self.most[D - 1]
     }
 
-    /// Index of the first node in reach along an axis.
+    /// Index of the first plane in reach of a particle at this coordinate along the last axis.
     #[inline(always)]
     pub(super) fn first(&self, x: f64) -> usize {
-        self.number(((x - self.along) * self.inverse_spacing).ceil())
+        let first = (x - self.along[D - 1]) * self.inverse_spacing[D - 1];
+        self.number(first.ceil(), D - 1)
     }
 
     /// The nodes with each coordinate in reach of a place.
@@ -133,21 +145,33 @@ impl<const D: usize> PaddedGrid<D> {
         let mut block = Block { first: [0; D], count: [0; D], apart: Vector::zero() };
         for axis in 0..D {
             let x = place[axis];
-            let first = ((x - self.along) * self.inverse_spacing).ceil();
-            let last = ((x + self.along) * self.inverse_spacing).floor();
-            // A position that is NaN has an empty block.
-            block.count[axis] = ((last - first + 1.0) as usize).min(self.most);
-            block.apart[axis] = first * self.spacing - x;
-            block.first[axis] = self.number(first);
+            let (along, inverse) = (self.along[axis], self.inverse_spacing[axis]);
+            let mut first = ((x - along) * inverse).ceil();
+            let mut last = ((x + along) * inverse).floor();
+            if !self.is_periodic[axis] {
+                first = first.max(0.0);
+                last = last.min((self.per_axis[axis] - 1) as f64);
+            }
+            // A position that is NaN has an empty block, and so has one beyond an open mesh.
+            block.count[axis] = ((last - first + 1.0) as usize).min(self.most[axis]);
+            block.apart[axis] = first * self.spacing[axis] - x;
+            block.first[axis] = self.number(first, axis);
         }
         block
     }
 
-    /// The index of a node, brought back across the periodic boundary.
+    /// The index of a node, brought back across the periodic boundary, or to the end of an open
+    /// mesh.
     #[inline(always)]
-    fn number(&self, counted: f64) -> usize {
-        let (n, counted) = (self.per_axis as i64, counted as i64);
-        if (0..n).contains(&counted) { counted as usize } else { counted.rem_euclid(n) as usize }
+    fn number(&self, counted: f64, axis: usize) -> usize {
+        let (n, counted) = (self.per_axis[axis] as i64, counted as i64);
+        if (0..n).contains(&counted) {
+            counted as usize
+        } else if self.is_periodic[axis] {
+            counted.rem_euclid(n) as usize
+        } else {
+            counted.clamp(0, n - 1) as usize
+        }
     }
 
     /// Processes all nodes in reach of a place; planes are counted from `plane`.
@@ -159,7 +183,7 @@ impl<const D: usize> PaddedGrid<D> {
         particle: &mut impl Meet<W, D>,
     ) {
         let block = self.block(place);
-        let narrow = block.count[0] <= HALF && self.per_axis > 1;
+        let narrow = block.count[0] <= HALF && self.per_axis[1] > 1;
         let layout = if narrow { &TWO_ROWS } else { &ONE_ROW };
         let mut along = 0;
         while along < block.count[0] {
@@ -186,8 +210,8 @@ impl<const D: usize> PaddedGrid<D> {
         let (far, across) = (reach * reach, W::load(&layout.across));
         let count = (block.count[0] - along).min(WIDTH);
         let mut apart = Vector::<W, D>::zero();
-        apart[0] = (W::load(&layout.along) + along as f64) * spacing + block.apart[0];
-        apart[1] = (across + line as f64) * spacing + block.apart[1];
+        apart[0] = (W::load(&layout.along) + along as f64) * spacing[0] + block.apart[0];
+        apart[1] = (across + line as f64) * spacing[1] + block.apart[1];
         // The second row may lie outside of the block.
         let none = if line + layout.rows > block.count[1] { FAR * far } else { 0.0 };
         let flat = apart[0] * apart[0] + W::load(&layout.far[count]) * far;
@@ -200,18 +224,19 @@ impl<const D: usize> PaddedGrid<D> {
             return;
         }
         let first = block.first[D - 1] - plane;
-        let row = wrap(block.first[1] + line, per_axis);
-        let mut place = (first * per_axis + row) * width + start;
+        let rows = per_axis[1];
+        let row = wrap(block.first[1] + line, rows);
+        let mut place = (first * rows + row) * width + start;
         let mut beside = place + HALF;
         if layout.rows == 2 {
-            let row = wrap(block.first[1] + line + 1, per_axis);
-            beside = (first * per_axis + row) * width + start;
+            let row = wrap(block.first[1] + line + 1, rows);
+            beside = (first * rows + row) * width + start;
         }
         for plane in 0..block.count[D - 1] {
-            apart[D - 1] = W::of(block.apart[D - 1] + plane as f64 * spacing);
+            apart[D - 1] = W::of(block.apart[D - 1] + plane as f64 * spacing[D - 1]);
             particle.meet([place, beside], &apart, flat + apart[D - 1] * apart[D - 1]);
-            place += per_axis * width;
-            beside += per_axis * width;
+            place += rows * width;
+            beside += rows * width;
         }
     }
 }

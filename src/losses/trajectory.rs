@@ -2,7 +2,7 @@
 
 use super::{SquareSum, StateAdjoint};
 use crate::packed::{Packed, PackedSensitivity};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 
 /// One frame's share of `L_tr = (1/N) Σ_frames Σᵢ (|rᵢ − r̂ᵢ|² + |vᵢ − v̂ᵢ|²)`, with position
@@ -17,7 +17,7 @@ pub fn trajectory_loss<const D: usize>(
     packed: &[Packed],
     blocks: &[&[PackedSensitivity<D>]],
     truth: impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>),
-    (space, weight): (PeriodicBox, f64),
+    (space, weight): (Space, f64),
 ) -> [SquareSum; 2] {
     let [mut positions, mut velocities] = [(); 2].map(|()| SquareSum::new(blocks.len()));
     let weight = weight / packed.len().max(1) as f64;
@@ -33,7 +33,8 @@ pub fn trajectory_loss<const D: usize>(
     }
     let count = (D * packed.len()) as f64;
     (positions.count, velocities.count) = (count, count);
-    positions.size = weight * count * space.length * space.length;
+    let squares: f64 = space.sides::<D>().iter().map(|side| side * side).sum();
+    positions.size = weight * packed.len() as f64 * squares;
     [positions, velocities]
 }
 
@@ -42,7 +43,7 @@ pub fn trajectory_loss<const D: usize>(
 pub fn trajectory_adjoint<const D: usize>(
     packed: &[Packed],
     truth: impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>),
-    (space, weight): (PeriodicBox, f64),
+    (space, weight): (Space, f64),
 ) -> StateAdjoint<D> {
     let weight = weight / packed.len().max(1) as f64;
     let mut adjoint = StateAdjoint::zero(packed.len());

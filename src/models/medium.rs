@@ -86,7 +86,7 @@ impl<const D: usize> Medium<D> {
     pub fn of(scene: &Scene, particles: usize) -> Self {
         let fluid = &scene.fluid;
         Self {
-            mass: fluid.box_length.powi(D as i32) / particles.max(1) as f64,
+            mass: scene.space().volume::<D>() / particles.max(1) as f64,
             smoothing: Smoothing::of(fluid.kernel.in_dimension(D), fluid.smoothing_length),
             kernel: fluid.kernel,
             fluid: fluid.constants(),

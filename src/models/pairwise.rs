@@ -11,7 +11,7 @@ use crate::near::Near;
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Lines, Neighbourhood, adjoints};
 use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_by_kernel};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 use std::mem::ManuallyDrop;
 
@@ -370,7 +370,7 @@ fn across<W: SimdFloat, const D: usize>(
 #[inline(always)]
 fn pull_to_kernel<W: SimdFloat, L: PairLaw<D>, const D: usize>(
     (law, scratch): (&L, &mut Scratch),
-    (lines, near, space): (Lines<'_>, &Near, PeriodicBox),
+    (lines, near, space): (Lines<'_>, &Near, Space),
     forces: &[PackedAdjoint],
 ) {
     let count = law.medium().kernel_scalars();

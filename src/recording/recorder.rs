@@ -44,6 +44,8 @@ const LARGEST_CLOUD: usize = super::source::LARGEST_CHUNK - (1 << 20);
 ///     scene_toml: "name = \"two particles\"".into(),
 ///     dimension: 2,
 ///     box_length: 1.0,
+///     sides: Vec::new(),
+///     boundary: Vec::new(),
 ///     speed_scale: 1.0,
 ///     parameters: vec![],
 ///     metadata: Default::default(),

@@ -17,6 +17,8 @@ fn recorder(path: &Path) -> Result<Recorder> {
         scene_toml: "name = \"test\"\n".into(),
         dimension: 3,
         box_length: 1.0,
+        sides: Vec::new(),
+        boundary: Vec::new(),
         speed_scale: 1.0,
         parameters: vec![],
         metadata: Default::default(),

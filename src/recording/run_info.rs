@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
+use crate::space::{Axis, Space};
 use crate::{Error, Result};
 
 /// Version of the layout of topics and fields.
 const FORMAT: &str = "1";
 
 /// Keys of the metadata record that are written here.
-const OWN_KEYS: [&str; 5] = ["format", "dimension", "box_length", "speed_scale", "parameters"];
+const OWN_KEYS: [&str; 7] =
+    ["format", "dimension", "box_length", "speed_scale", "parameters", "sides", "boundary"];
 
 /// Metadata of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +19,12 @@ pub struct RunInfo {
     pub scene_toml: String,
     /// 2 or 3.
     pub dimension: usize,
-    /// Edge of the periodic box.
+    /// Side of the box, along its first axis.
     pub box_length: f64,
+    /// The sides of a box that is no cube, one for each axis; else empty.
+    pub sides: Vec<f64>,
+    /// The kinds of the axes; empty where all are periodic.
+    pub boundary: Vec<Axis>,
     /// The speed that gets the brightest colour.
     pub speed_scale: f64,
     /// Names of the learned parameters, in the order of [`TrainStep::parameters`](super::TrainStep).
@@ -28,6 +34,15 @@ pub struct RunInfo {
 }
 
 impl RunInfo {
+    /// The box.
+    pub fn space(&self) -> Space {
+        let mut sides = [self.box_length; 3];
+        sides.iter_mut().zip(&self.sides).for_each(|(side, own)| *side = *own);
+        let mut axes = [Axis::Periodic; 3];
+        axes.iter_mut().zip(&self.boundary).for_each(|(axis, own)| *axis = *own);
+        Space::new(sides, axes)
+    }
+
     /// Checks the metadata.
     ///
     /// # Errors
@@ -45,6 +60,16 @@ impl RunInfo {
                 return refuse(&format!("a positive `{name}`"), value.to_string());
             }
         }
+        let whole = |length: usize| length == 0 || length == self.dimension;
+        let positive = self.sides.iter().all(|side| side.is_finite() && *side > 0.0);
+        if !whole(self.sides.len()) || !positive {
+            let expected = "a positive length for each axis as `sides`, or none";
+            return refuse(expected, format!("{:?}", self.sides));
+        }
+        if !whole(self.boundary.len()) {
+            let expected = "a kind for each axis as `boundary`, or none";
+            return refuse(expected, format!("{:?}", self.boundary));
+        }
         if let Some(key) = OWN_KEYS.iter().find(|key| self.metadata.contains_key(**key)) {
             return refuse(&format!("metadata keys other than {OWN_KEYS:?}"), format!("`{key}`"));
         }
@@ -57,16 +82,21 @@ impl RunInfo {
     /// As [`check`](Self::check).
     pub(super) fn to_record(&self) -> Result<BTreeMap<String, String>> {
         self.check()?;
-        let parameters = serde_json::Value::from(self.parameters.clone()).to_string();
+        let list = |list: serde_json::Result<String>| list.unwrap_or_default();
         let own = [
             FORMAT.to_owned(),
             self.dimension.to_string(),
             format!("{:?}", self.box_length),
             format!("{:?}", self.speed_scale),
-            parameters,
+            list(serde_json::to_string(&self.parameters)),
+            list(serde_json::to_string(&self.sides)),
+            list(serde_json::to_string(&self.boundary)),
         ];
         let mut record = self.metadata.clone();
-        record.extend(OWN_KEYS.iter().map(|key| key.to_string()).zip(own));
+        // A periodic cube has no lists of sides and axes.
+        let said = |(_, value): &(String, String)| value != "[]";
+        let all = OWN_KEYS.iter().map(|key| key.to_string()).zip(own).enumerate();
+        record.extend(all.filter(|(k, pair)| *k < 5 || said(pair)).map(|(_, pair)| pair));
         Ok(record)
     }
 
@@ -91,7 +121,18 @@ impl RunInfo {
             dimension: number(&mut record, "dimension", &place)?,
             box_length: number(&mut record, "box_length", &place)?,
             speed_scale: number(&mut record, "speed_scale", &place)?,
-            parameters: names(&mut record, &place)?,
+            parameters: {
+                let text = take(&mut record, "parameters", &place)?;
+                list(&text, "`parameters` as a JSON list of names", &place)?
+            },
+            sides: {
+                let text = record.remove("sides").unwrap_or_else(|| "[]".to_owned());
+                list(&text, "`sides` as a JSON list of lengths", &place)?
+            },
+            boundary: {
+                let text = record.remove("boundary").unwrap_or_else(|| "[]".to_owned());
+                list(&text, "`boundary` as a JSON list of \"periodic\" and \"open\"", &place)?
+            },
             metadata: record,
         };
         run.check().map_err(|error| match error {
@@ -121,9 +162,6 @@ fn number<T: std::str::FromStr>(
     })
 }
 
-fn names(record: &mut BTreeMap<String, String>, place: &str) -> Result<Vec<String>> {
-    let text = take(record, "parameters", place)?;
-    serde_json::from_str(&text).map_err(|_| {
-        Error::input(place, "`parameters` as a JSON list of names", text, super::DAMAGED)
-    })
+fn list<T: serde::de::DeserializeOwned>(text: &str, expected: &str, place: &str) -> Result<Vec<T>> {
+    serde_json::from_str(text).map_err(|_| Error::input(place, expected, text, super::DAMAGED))
 }

@@ -8,7 +8,7 @@ use crate::interrupt;
 use crate::kernel::KernelChoice;
 use crate::output::Output;
 use crate::recording::{Clouds, Flow, Frame, Numbered, Recorder, RunInfo};
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::truth::Truth;
 use crate::vector::Vector;
 use serde::Serialize;
@@ -150,7 +150,7 @@ impl Import {
 
     /// The median deviation of particles from their displacement by velocities, as a share of it.
     fn share<const D: usize>(&self, truth: &Truth<D>) -> f64 {
-        let found = misses(truth, PeriodicBox { length: self.box_length });
+        let found = misses(truth, Space::cube(self.box_length));
         if found.miss > 0.0 { found.miss / found.way } else { 0.0 }
     }
 
@@ -190,7 +190,7 @@ impl Import {
         mut truth: Truth<D>,
         mut findings: Findings,
     ) -> Result<Imported> {
-        let space = PeriodicBox { length: self.box_length };
+        let space = Space::cube(self.box_length);
         check_itself(&truth, space, &mut findings)?;
         let densities = self.densities(&mut truth, space, &mut findings)?;
         let dt = truth.states.get(1).map_or(0.0, |second| second.time - truth.states[0].time);
@@ -229,7 +229,7 @@ impl Import {
     fn densities<const D: usize>(
         &self,
         truth: &mut Truth<D>,
-        space: PeriodicBox,
+        space: Space,
         findings: &mut Findings,
     ) -> Result<&'static str> {
         let missing = truth.densities.iter().any(Vec::is_empty);
@@ -268,6 +268,8 @@ impl Import {
             scene_toml: String::new(),
             dimension: D,
             box_length: self.box_length,
+            sides: Vec::new(),
+            boundary: Vec::new(),
             speed_scale: if typical > 0.0 && typical.is_finite() { 2.0 * typical } else { 1.0 },
             parameters: Vec::new(),
             metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),

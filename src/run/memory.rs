@@ -142,6 +142,9 @@ impl Twin {
         // The support must be less than half the box.
         let wanted = ((4.4 * spacings).ceil() as usize).max(few);
         let fluid = &mut twin.fluid;
+        // A particle of a cube has as many neighbours.
+        fluid.sides.clear();
+        fluid.boundary.clear();
         fluid.particles_per_side = wanted.min(most).min(side);
         let reach = spacings * fluid.box_length / fluid.particles_per_side as f64;
         fluid.smoothing_length = reach.min(0.24 * fluid.box_length);

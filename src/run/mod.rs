@@ -66,6 +66,8 @@ pub fn run_info(scene: &Scene, command: &str) -> RunInfo {
         scene_toml: scene.to_toml(),
         dimension: scene.dimension,
         box_length: scene.fluid.box_length,
+        sides: scene.fluid.sides.clone(),
+        boundary: scene.fluid.boundary.clone(),
         speed_scale,
         parameters: learned.map(|p| p.to_string()).collect(),
         metadata: metadata.map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),

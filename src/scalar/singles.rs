@@ -147,11 +147,10 @@ impl SimdFloat for F32x8 {
         others: [&PackedSingle; WIDTH],
         space: Surroundings,
     ) -> Vector<Self, D> {
-        let unit = Self::of(unit(space));
         let mut separation = Vector::zero();
         for axis in 0..D {
             let steps = |l: usize| here.position[axis].wrapping_sub(others[l].position[axis]);
-            separation[axis] = in_every_lane!(|l| steps(l) as f32) * unit;
+            separation[axis] = in_every_lane!(|l| steps(l) as f32) * Self::of(unit(space, axis));
         }
         let density = in_every_lane!(|l| others[l].density);
         separation[0] = Self::select_less(density, Self::of(0.0), Self::of(FAR), separation[0]);

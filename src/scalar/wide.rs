@@ -354,8 +354,8 @@ pub(super) fn separation_of<W: SimdFloat, const D: usize>(
 /// that no fourth power overflows.
 pub(super) const FAR: f64 = 1e6;
 
-/// Length of a fixed-point step.
+/// Length of a fixed-point step along an axis.
 #[inline(always)]
-pub(super) fn unit(space: Surroundings) -> f64 {
-    space.space.length / PackedSingle::STEPS
+pub(super) fn unit(space: Surroundings, axis: usize) -> f64 {
+    space.space.side(axis) / PackedSingle::STEPS
 }

@@ -95,10 +95,19 @@ impl Scene {
         if self.dimension == 2 { 8192 } else { 406 }
     }
 
+    /// Whether every side holds a whole number of particles, at least one, to nine digits.
+    fn fills_its_sides(&self) -> bool {
+        let spacing = self.spacing();
+        self.fluid.sides.iter().all(|side| {
+            let count = side / spacing;
+            count.round() >= 1.0 && (count - count.round()).abs() <= 1e-9 * count
+        })
+    }
+
     fn fluid_requirements(&self) -> Vec<Requirement> {
         let f = &self.fluid;
         let show = |x: f64| format!("{x}");
-        let fits = 2.0 * f.smoothing_length <= 0.5 * f.box_length;
+        let fits = 2.0 * f.smoothing_length <= 0.5 * self.shortest_period();
         vec![
             (matches!(self.dimension, 2 | 3), "dimension", "2 or 3", self.dimension.to_string()),
             (
@@ -115,6 +124,42 @@ impl Scene {
             ),
             (positive(f.box_length), "fluid.box_length", "a positive length", show(f.box_length)),
             (
+                f.sides.is_empty() || f.sides.len() == self.dimension,
+                "fluid.sides",
+                "one length for each axis",
+                format!("{:?} in dimension {}", f.sides, self.dimension),
+            ),
+            (
+                f.sides.iter().all(|side| positive(*side)),
+                "fluid.sides",
+                "positive lengths",
+                format!("{:?}", f.sides),
+            ),
+            (
+                f.sides.first().is_none_or(|first| first.to_bits() == f.box_length.to_bits()),
+                "fluid.box_length",
+                "the first of fluid.sides, or no key beside them",
+                show(f.box_length),
+            ),
+            (
+                self.fills_its_sides(),
+                "fluid.sides",
+                "whole numbers of particles at the spacing box_length/particles_per_side",
+                format!("{:?} at a spacing of {}", f.sides, self.spacing()),
+            ),
+            (
+                self.particles() <= 8192 * 8192,
+                "fluid.sides",
+                "at most 67 million particles",
+                self.particles().to_string(),
+            ),
+            (
+                f.boundary.is_empty() || f.boundary.len() == self.dimension,
+                "fluid.boundary",
+                "\"periodic\" or \"open\" for each axis",
+                format!("{} in dimension {}", f.boundary.len(), self.dimension),
+            ),
+            (
                 positive(f.smoothing_length),
                 "fluid.smoothing_length",
                 "a positive length",
@@ -124,7 +169,7 @@ impl Scene {
                 fits,
                 "fluid.smoothing_length",
                 "a kernel support 2h of at most half the box, so that no particle meets two images of another",
-                format!("2h = {} in a box of {}", 2.0 * f.smoothing_length, f.box_length),
+                format!("2h = {} in a box of {}", 2.0 * f.smoothing_length, self.box_words()),
             ),
             (positive(f.c), "fluid.c", "a positive sound speed", show(f.c)),
             (positive(f.gamma), "fluid.gamma", "a positive exponent", show(f.gamma)),

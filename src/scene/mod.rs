@@ -27,6 +27,8 @@ use crate::models::{FluidConstants, LaminarViscosity, ModelChoice};
 use crate::parameters::{Parameter, ParameterSpec, Parameters};
 pub use crate::scalar::Precision;
 use crate::sensitivity::Gradient;
+pub use crate::space::Axis;
+use crate::space::Space;
 use crate::systems::verlet::Step;
 use crate::systems::watch::Limits;
 use serde::{Deserialize, Serialize};
@@ -95,11 +97,18 @@ pub struct Scene {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fluid {
-    /// Particles along each axis of the initial lattice.
+    /// Particles of the initial lattice along the first axis, and along the others where all sides
+    /// are equal; else each side holds as many as the same spacing makes of it.
     pub particles_per_side: usize,
-    /// Side of the periodic box.
+    /// Side of the box; where `sides` are given, the first of them.
     #[serde(default = "defaults::box_length")]
     pub box_length: f64,
+    /// The sides of the box, where they are not all equal: one number for each axis.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sides: Vec<f64>,
+    /// The kind of each axis, `"periodic"` or `"open"`; without it all are periodic.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub boundary: Vec<Axis>,
     /// Smoothing length `h`; the kernel's support is `2h`.
     pub smoothing_length: f64,
     /// The kernel.
@@ -332,14 +341,77 @@ impl Scene {
         Some((scene, steps))
     }
 
-    /// Number of particles `N`.
-    pub fn particles(&self) -> usize {
-        self.fluid.particles_per_side.pow(self.dimension as u32)
+    /// The box: a length and a kind for each axis.
+    pub fn space(&self) -> Space {
+        let mut sides = [self.fluid.box_length; 3];
+        sides.iter_mut().zip(&self.fluid.sides).for_each(|(side, own)| *side = *own);
+        let mut axes = [Axis::Periodic; 3];
+        axes.iter_mut().zip(&self.fluid.boundary).for_each(|(axis, own)| *axis = *own);
+        Space::new(sides, axes)
     }
 
-    /// Mass of each particle, `m = ρ₀ Lᵈ/N`.
+    /// The box in words: its side, or the sides and the kinds of its axes.
+    pub fn box_words(&self) -> String {
+        let (fluid, axes) = (&self.fluid, self.dimension.min(3));
+        let side = match fluid.sides.is_empty() {
+            true => fluid.box_length.to_string(),
+            false => format!("{:?}", fluid.sides),
+        };
+        let space = self.space();
+        let open =
+            (0..axes).filter(|&axis| !space.is_periodic(axis)).map(|axis| ["x", "y", "z"][axis]);
+        match open.collect::<Vec<_>>().join(" and ") {
+            none if none.is_empty() => side,
+            open => format!("{side}, open along {open}"),
+        }
+    }
+
+    /// The shortest period of the box; infinite where no axis is periodic.
+    pub fn shortest_period(&self) -> f64 {
+        let space = self.space();
+        if self.dimension == 2 {
+            space.shortest_period::<2>()
+        } else {
+            space.shortest_period::<3>()
+        }
+    }
+
+    /// Whether the box is a square or a cube.
+    pub fn has_equal_sides(&self) -> bool {
+        let first = self.fluid.box_length;
+        self.fluid.sides.iter().all(|side| side.to_bits() == first.to_bits())
+    }
+
+    /// Distance of the particles in the initial lattice.
+    pub fn spacing(&self) -> f64 {
+        self.fluid.box_length / self.fluid.particles_per_side as f64
+    }
+
+    /// Particles of the initial lattice along each axis; 1 along axes that the flow does not have.
+    pub fn lattice(&self) -> [usize; 3] {
+        let mut counts = [self.fluid.particles_per_side; 3];
+        let spacing = self.spacing();
+        for (count, side) in counts.iter_mut().zip(&self.fluid.sides) {
+            *count = (side / spacing).round() as usize;
+        }
+        counts[self.dimension.min(3)..].fill(1);
+        counts
+    }
+
+    /// Number of particles `N`.
+    pub fn particles(&self) -> usize {
+        self.lattice().iter().product()
+    }
+
+    /// Volume of the box, in 2D its area.
+    pub fn volume(&self) -> f64 {
+        let space = self.space();
+        if self.dimension == 2 { space.volume::<2>() } else { space.volume::<3>() }
+    }
+
+    /// Mass of each particle, `m = ρ₀ V/N`.
     pub fn mass(&self) -> f64 {
-        self.fluid.box_length.powi(self.dimension as i32) / self.particles() as f64
+        self.volume() / self.particles() as f64
     }
 
     /// The default skin of a scene, in units of `h`: 0.26 particle spacings in three dimensions,
@@ -349,7 +421,7 @@ impl Scene {
     /// or three steps. A larger skin costs more in every density than it saves in rebuilds;
     /// `tests/measure/README.md` has the times.
     pub fn usual_skin(&self) -> f64 {
-        let spacing = self.fluid.box_length / self.fluid.particles_per_side as f64;
+        let spacing = self.spacing();
         let spacings = if self.dimension == 3 { 0.26 } else { 0.2 };
         spacings * spacing / self.fluid.smoothing_length
     }

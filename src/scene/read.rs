@@ -143,7 +143,7 @@ impl Scene {
         for assignment in own.iter().copied().chain(overrides.iter().map(String::as_str)) {
             assign(&mut table, assignment)?;
         }
-        let resolved = resolve_width(&mut table, &origin)?;
+        let resolved = resolve_sides(&mut table) | resolve_width(&mut table, &origin)?;
         if resolved || !(own.is_empty() && overrides.is_empty()) {
             // Serialised again, so that an error can quote the current line.
             text = table.to_string();
@@ -245,6 +245,9 @@ fn assign(table: &mut Table, assignment: &str) -> Result<()> {
     match key.trim() {
         "fluid.smoothing_length" => drop(table.remove(OVER_SPACING)),
         "fluid.h_over_spacing" => drop(table.remove(LENGTH)),
+        // And so does the box.
+        "fluid.box_length" => drop(table.remove(SIDES)),
+        "fluid.sides" => drop(table.remove("box_length")),
         _ => {}
     }
     table.insert(last.to_owned(), value);
@@ -256,6 +259,17 @@ const LENGTH: &str = "smoothing_length";
 
 /// The smoothing length in particle spacings: what stays when the resolution changes.
 const OVER_SPACING: &str = "h_over_spacing";
+
+/// The sides of a box that is no cube.
+const SIDES: &str = "sides";
+
+/// Gives a scene with `fluid.sides` the first of them as `fluid.box_length`, if it says none; whether it did.
+fn resolve_sides(table: &mut Table) -> bool {
+    let fluid = table.get_mut("fluid").and_then(Value::as_table_mut);
+    let Some(fluid) = fluid.filter(|fluid| !fluid.contains_key("box_length")) else { return false };
+    let first = fluid.get(SIDES).and_then(Value::as_array).and_then(|sides| sides.first()).cloned();
+    first.is_some_and(|first| fluid.insert("box_length".to_owned(), first).is_none())
+}
 
 /// Refuses a text that says the smoothing length twice.
 fn must_say_one_width(table: &Table, origin: &str) -> Result<()> {

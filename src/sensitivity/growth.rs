@@ -51,7 +51,7 @@ pub fn sensitivity_growth<const D: usize>(
             "set learn.gradient to \"forward\"",
         ));
     }
-    let eddy = eddy_time(&flow.state().velocities, flow.box_length());
+    let eddy = eddy_time(&flow.state().velocities, flow.space().longest::<D>());
     let mut sizes = Vec::with_capacity(window);
     for _ in 0..window {
         flow.step()?;

@@ -1,14 +1,14 @@
 //! Dispersion: displacements of particles and of pairs of particles.
 
 use crate::cells::Cells;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::vector::Vector;
 
 /// Pairs `i < j` closer than `reach` (at most a quarter of the box), in ascending order, to be
 /// followed by [`pair_dispersion`].
 pub fn close_pairs<const D: usize>(
     positions: &[Vector<f64, D>],
-    space: PeriodicBox,
+    space: Space,
     reach: f64,
 ) -> Vec<(usize, usize)> {
     let mut cells = Cells::default();
@@ -46,14 +46,14 @@ pub fn pair_dispersion<const D: usize>(
 /// box between two states.
 #[derive(Clone, Debug)]
 pub struct Displacement<const D: usize> {
-    space: PeriodicBox,
+    space: Space,
     last: Vec<Vector<f64, D>>,
     travelled: Vec<Vector<f64, D>>,
 }
 
 impl<const D: usize> Displacement<D> {
     /// Starts from the positions of a first state.
-    pub fn new(space: PeriodicBox, positions: &[Vector<f64, D>]) -> Self {
+    pub fn new(space: Space, positions: &[Vector<f64, D>]) -> Self {
         let travelled = vec![Vector::zero(); positions.len()];
         Self { space, last: positions.to_vec(), travelled }
     }
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn close_pairs_are_those_that_brute_force_finds() {
-        let (space, positions) = (PeriodicBox { length: 3.0 }, cloud(300, 3.0));
+        let (space, positions) = (Space::cube(3.0), cloud(300, 3.0));
         let mut all = brute_force(&positions, space, 0.5);
         all.retain(|(i, j)| i < j);
         assert_eq!(close_pairs(&positions, space, 0.5), all);
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_common_drift_through_the_box_moves_all_and_parts_nobody() {
-        let (space, start) = (PeriodicBox { length: 2.0 }, cloud(50, 2.0));
+        let (space, start) = (Space::cube(2.0), cloud(50, 2.0));
         let mut displacement = Displacement::new(space, &start);
         let drift = Vector([0.3, -0.4, 0.0]);
         let mut now = start.clone();
@@ -120,7 +120,7 @@ mod tests {
     /// `⟨|Δr(t) − Δr(0)|²⟩ = (e^{at} − 1)² ⟨|Δr(0)|²⟩`.
     #[test]
     fn a_uniform_strain_parts_pairs_as_its_formula_says() {
-        let space = PeriodicBox { length: 100.0 };
+        let space = Space::cube(100.0);
         let start: Vec<Vector<f64, 3>> =
             cloud(40, 1.0).into_iter().map(|r| r + Vector([50.0; 3])).collect();
         let middle = Vector([50.0; 3]);

@@ -62,8 +62,8 @@ pub fn momentum<const D: usize>(mass: f64, velocities: &[Vector<f64, D>]) -> Vec
     sum * mass
 }
 
-/// The turnover time of the largest eddies: `L/2π` divided by the root mean square of a component
-/// of `v − v̄`.
+/// The turnover time of the largest eddies of a box of (longest) side `L`: `L/2π` divided by the root mean
+/// square of a component of `v − v̄`.
 pub fn eddy_time<const D: usize>(velocities: &[Vector<f64, D>], box_length: f64) -> f64 {
     let count = velocities.len() as f64;
     let mean = momentum(1.0 / count, velocities);

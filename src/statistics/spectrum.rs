@@ -6,14 +6,20 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
 /// Kinetic energy per unit mass by wavenumber: `E(k) = ½ Σ |û(κ)|²` over the shell
-/// `k − ½ ≤ |κ| < k + ½`, wavenumbers in units of `2π/L`, with
-/// `û(κ) = n⁻ᴰ Σₓ u(x) e^{−iκ·x}` on `nᴰ` nodes.
+/// `k − ½ ≤ |κ| < k + ½`, wavenumbers in units of `2π/L` of the longest axis, with
+/// `û(κ) = N⁻¹ Σₓ u(x) e^{−iκ·x}` on `N` nodes.
 ///
-/// Entry `k` is shell `k`; their sum is `½⟨|u|²⟩` (Parseval). Shells beyond `n/2` are incomplete.
+/// Entry `k` is shell `k`; their sum is `½⟨|u|²⟩` (Parseval). Shells beyond half the nodes along an
+/// axis are incomplete. Empty where an axis is open: a field without a period has no such modes.
 pub fn energy_spectrum<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>]) -> Vec<f64> {
-    let n = mesh.per_axis;
+    if (0..D).any(|axis| !mesh.space.is_periodic(axis)) {
+        return Vec::new();
+    }
+    let longest = mesh.space.longest::<D>();
+    let unit: [f64; D] = std::array::from_fn(|axis| longest / mesh.space.side(axis));
     // The longest wave vector has n/2 along every axis.
-    let shells = (0.5 * n as f64 * (D as f64).sqrt()).round() as usize + 1;
+    let square = |axis: usize| (mesh.per_axis[axis] as f64 * unit[axis]).powi(2);
+    let shells = (0.5 * (0..D).map(square).sum::<f64>().sqrt()).round() as usize + 1;
     let mut energy = vec![0.0; shells];
     let mut planner = FftPlanner::new();
     for axis in 0..D {
@@ -21,19 +27,19 @@ pub fn energy_spectrum<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>])
             field.iter().map(|u| Complex::new(u[axis], 0.0)).collect();
         transform(mesh, &mut planner, &mut modes);
         for (index, mode) in modes.iter().enumerate() {
-            let k = wavenumber::<D>(n, index).round() as usize;
+            let k = wavenumber(mesh.per_axis, unit, index).round() as usize;
             energy[k.min(shells - 1)] += 0.5 * mode.norm_sqr();
         }
     }
     energy
 }
 
-/// `|κ|` of the mode at an index.
-fn wavenumber<const D: usize>(n: usize, mut index: usize) -> f64 {
+/// `|κ|` of the mode at an index, where the first mode along each axis has the wavenumber `unit`.
+fn wavenumber<const D: usize>(per_axis: [usize; D], unit: [f64; D], mut index: usize) -> f64 {
     let mut square = 0.0;
-    for _ in 0..D {
+    for (n, unit) in per_axis.into_iter().zip(unit) {
         let along = index % n;
-        let kappa = along.min(n - along) as f64;
+        let kappa = along.min(n - along) as f64 * unit;
         square += kappa * kappa;
         index /= n;
     }
@@ -46,11 +52,10 @@ fn transform<const D: usize>(
     planner: &mut FftPlanner<f64>,
     modes: &mut [Complex<f64>],
 ) {
-    let n = mesh.per_axis;
-    let fft = planner.plan_fft_forward(n);
-    let mut line = vec![Complex::default(); n];
     for axis in 0..D {
-        let stride = n.pow(axis as u32);
+        let (n, stride) = (mesh.per_axis[axis], mesh.stride(axis));
+        let fft = planner.plan_fft_forward(n);
+        let mut line = vec![Complex::default(); n];
         for first in (0..modes.len()).filter(|index| (index / stride).is_multiple_of(n)) {
             for (k, value) in line.iter_mut().enumerate() {
                 *value = modes[first + k * stride];
@@ -72,7 +77,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     fn wave<const D: usize>(kappa: [f64; D]) -> (Mesh<D>, Vec<Vector<f64, D>>) {
-        let mesh = Mesh { per_axis: 12, length: std::f64::consts::TAU };
+        let mesh = Mesh::cube(std::f64::consts::TAU, 12);
         let at = |node: usize| {
             let angle = Vector(kappa).dot(mesh.node(node));
             let mut u = Vector::zero();
@@ -98,9 +103,26 @@ mod tests {
     }
 
     #[test]
+    fn a_wave_along_a_short_axis_lies_in_the_shell_of_its_length_and_an_open_axis_has_no_modes() {
+        use crate::space::{Axis, Space};
+        let space = Space::new([2.0, 1.0], [Axis::Periodic; 2]);
+        let mesh = Mesh::<2>::over(space, 16);
+        assert_eq!(mesh.per_axis, [16, 8]);
+        let at = |node| Vector([(std::f64::consts::TAU * 2.0 * mesh.node(node)[1]).sin(), 0.0]);
+        let field: Vec<_> = (0..mesh.len()).map(at).collect();
+        // Two periods in a side of one: four in the longest.
+        for (k, energy) in energy_spectrum(&mesh, &field).iter().enumerate() {
+            let expected = if k == 4 { 0.25 } else { 0.0 };
+            assert!((energy - expected).abs() < 1e-14, "shell {k}: {energy}");
+        }
+        let open = Space::new([2.0, 1.0], [Axis::Periodic, Axis::Open]);
+        assert!(energy_spectrum(&Mesh { space: open, ..mesh }, &field).is_empty());
+    }
+
+    #[test]
     fn the_shells_sum_to_the_kinetic_energy() {
         let mut generator = ChaCha8Rng::seed_from_u64(2);
-        let mesh = Mesh::<3> { per_axis: 9, length: 1.7 };
+        let mesh = Mesh::<3>::cube(1.7, 9);
         let mut component = || generator.random::<f64>() - 0.3;
         let field: Vec<Vector<f64, 3>> =
             (0..mesh.len()).map(|_| Vector(std::array::from_fn(|_| component()))).collect();

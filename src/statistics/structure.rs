@@ -37,22 +37,31 @@ impl Structure {
     }
 }
 
-/// Structure functions at distances of one node, two, … up to half the box, over all nodes and
-/// axes.
+/// Structure functions at distances of one node, two, … up to half the shortest side, over all nodes
+/// and axes; along an open axis over the pairs of nodes on the mesh.
+///
+/// The distance is that along the first axis: a mesh has the same spacing along all of them, but
+/// for rounding where the box is no cube ([`Mesh::over`]).
 pub fn structure_functions<const D: usize>(
     mesh: &Mesh<D>,
     field: &[Vector<f64, D>],
 ) -> Vec<Structure> {
-    (1..=mesh.per_axis / 2).map(|apart| structure(mesh, field, apart)).collect()
+    let fewest = mesh.per_axis.iter().min().copied().unwrap_or(0);
+    (1..=fewest / 2).map(|apart| structure(mesh, field, apart)).collect()
 }
 
 fn structure<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>], apart: usize) -> Structure {
-    let n = mesh.per_axis;
     let (mut second, mut third, mut transverse) = (0.0, 0.0, 0.0);
+    let mut pairs = 0_usize;
     for axis in 0..D {
-        let stride = n.pow(axis as u32);
+        let (n, stride) = (mesh.per_axis[axis], mesh.stride(axis));
+        let is_periodic = mesh.space.is_periodic(axis);
         for (index, here) in field.iter().enumerate() {
             let along = index / stride % n;
+            if !is_periodic && along + apart >= n {
+                continue;
+            }
+            pairs += 1;
             let there = index - along * stride + (along + apart) % n * stride;
             let difference = field[there] - *here;
             let longitudinal = difference[axis];
@@ -61,9 +70,9 @@ fn structure<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>], apart: us
             transverse += difference.norm_squared() - longitudinal.powi(2);
         }
     }
-    let count = (D * field.len()) as f64;
+    let count = pairs as f64;
     Structure {
-        distance: apart as f64 * mesh.length / n as f64,
+        distance: apart as f64 * mesh.space.side(0) / mesh.per_axis[0] as f64,
         second: second / count,
         third: third / count,
         transverse: transverse / (count * (D - 1) as f64),
@@ -78,7 +87,7 @@ mod tests {
     /// for separations along `y`, half of all.
     #[test]
     fn a_shear_wave_has_the_structure_functions_of_its_formula() {
-        let mesh = Mesh::<2> { per_axis: 16, length: std::f64::consts::TAU };
+        let mesh = Mesh::<2>::cube(std::f64::consts::TAU, 16);
         let field: Vec<Vector<f64, 2>> =
             (0..mesh.len()).map(|node| Vector([mesh.node(node)[1].sin(), 0.0])).collect();
         for s in structure_functions(&mesh, &field) {
@@ -90,7 +99,7 @@ mod tests {
     /// A compression wave `u = (sin x, 0, 0)` has `S₂ = (1 − cos r)/3` and, being symmetric, `S₃ = 0`.
     #[test]
     fn a_compression_wave_has_the_structure_functions_of_its_formula() {
-        let mesh = Mesh::<3> { per_axis: 12, length: std::f64::consts::TAU };
+        let mesh = Mesh::<3>::cube(std::f64::consts::TAU, 12);
         let field: Vec<Vector<f64, 3>> =
             (0..mesh.len()).map(|node| Vector([mesh.node(node)[0].sin(), 0.0, 0.0])).collect();
         for s in structure_functions(&mesh, &field) {
@@ -106,7 +115,7 @@ mod tests {
     #[test]
     fn a_solid_rotation_has_the_structure_functions_of_its_formula() {
         let (length, omega) = (2.0, 1.5);
-        let mesh = Mesh::<2> { per_axis: 16, length };
+        let mesh = Mesh::<2>::cube(length, 16);
         let turn = |node| {
             let r = mesh.node(node);
             Vector([-omega * (r[1] - 1.0), omega * (r[0] - 1.0)])

@@ -6,7 +6,6 @@ use crate::error::Result;
 use crate::flow::{Flow, State};
 use crate::losses::Mesh;
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
 use crate::statistics::{conservation, momentum};
 use crate::systems::verlet::Step;
 use crate::truth::velocity_field;
@@ -125,7 +124,7 @@ fn price<const D: usize>(
 /// Root-mean-square distance between the particles of two states, divided by the scene's smoothing
 /// length.
 pub fn distance<const D: usize>(scene: &Scene, a: &State<D>, b: &State<D>) -> f64 {
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     let places = a.positions.iter().zip(&b.positions);
     let apart: f64 = places.map(|(&a, &b)| space.minimum_image(a - b).norm_squared()).sum();
     (apart / a.positions.len() as f64).sqrt() / scene.fluid.smoothing_length
@@ -149,8 +148,7 @@ impl<const D: usize> End<D> {
         (0..steps).try_for_each(|_| flow.step())?;
         let seconds = clock.elapsed().as_secs_f64();
         let (end, densities) = (flow.state(), flow.densities());
-        let per_axis = (state.positions.len() as f64).powf(1.0 / D as f64).round() as usize;
-        let mesh = Mesh { per_axis, length: scene.fluid.box_length };
+        let mesh = Mesh::of_particles(scene.space(), state.positions.len());
         Ok(Self {
             field: velocity_field(scene, &mesh, &end, &densities),
             energy: conservation(&mut flow).total_energy,

@@ -154,7 +154,7 @@ fn kernels(scene: &Scene) -> Vec<(String, (KernelName, f64))> {
             (name, (kernel, wider * scene.fluid.smoothing_length))
         })
     };
-    let fits = |(_, (_, h)): &(String, (KernelName, f64))| 2.0 * h <= 0.5 * scene.fluid.box_length;
+    let fits = |(_, (_, h)): &(String, (KernelName, f64))| 2.0 * h <= 0.5 * scene.shortest_period();
     kernels.into_iter().flat_map(of).filter(fits).collect()
 }
 

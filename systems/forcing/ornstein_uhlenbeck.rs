@@ -26,8 +26,8 @@ pub struct OrnsteinUhlenbeckForcing {
 impl OrnsteinUhlenbeckForcing {
     /// The forcing of a scene with these settings; its seed draws the amplitudes.
     pub fn new(scene: &Scene, settings: Settings) -> Self {
-        let (length, dt) = (scene.fluid.box_length, scene.dt());
-        let process = OrnsteinUhlenbeck::new(settings, scene.dimension, length, dt, scene.seed);
+        let (space, dt) = (scene.space(), scene.dt());
+        let process = OrnsteinUhlenbeck::new(settings, scene.dimension, space, dt, scene.seed);
         Self { process, forces: Vec::new() }
     }
 

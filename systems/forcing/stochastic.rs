@@ -3,6 +3,7 @@
 use crate::forcing::{Mode, draw_stochastic_modes};
 use crate::pairs::CHUNK;
 use crate::scalar::F64x8;
+use crate::space::Space;
 use crate::systems::acceleration::Laws;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{AdjointCloud, Cloud, SensitivityCloud};
@@ -35,12 +36,12 @@ impl StochasticForcing {
         Self { seed, interval, strength, modes: Vec::new(), drawn: None, forces: Vec::new() }
     }
 
-    fn draw(&mut self, dimension: usize, length: f64, time: f64) {
+    fn draw(&mut self, dimension: usize, space: Space, time: f64) {
         // The caller adds half a step to the time, so that round-off cannot move a draw by a step.
         let interval = (time / self.interval).floor() as u64;
         if self.drawn != Some(interval) {
             let drawn = (self.seed, interval);
-            draw_stochastic_modes((dimension, length), drawn, &mut self.modes);
+            draw_stochastic_modes((dimension, space), drawn, &mut self.modes);
             self.drawn = Some(interval);
         }
     }
@@ -118,7 +119,7 @@ fn force_stochastically<const D: usize>(
     mut cloud: ResMut<Cloud<D>>,
 ) {
     let time = clock.time_at(clock.evaluated, integrator.dt);
-    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    forcing.draw(D, neighbours.space, time + 0.5 * integrator.dt);
     let mut forces = std::mem::take(&mut forcing.forces);
     forcing.find_forces(&cloud, &mut forces);
     for (a, &force) in cloud.acceleration.iter_mut().zip(&forces) {
@@ -161,7 +162,7 @@ fn force_stochastically_pullback<const D: usize>(
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let time = clock.time_at(clock.evaluated, integrator.dt);
-    forcing.draw(D, neighbours.space.length, time + 0.5 * integrator.dt);
+    forcing.draw(D, neighbours.space, time + 0.5 * integrator.dt);
     let AdjointCloud { packed, position, .. } = &mut *adjoint;
     let mut mean = Vector::<f64, D>::zero();
     packed.iter().for_each(|line| mean += Vector::from_3d(line.force));

@@ -13,7 +13,7 @@ use whirls::forcing::Power;
 use whirls::learn::Evaluation;
 use whirls::parameters::Parameter;
 use whirls::scene::{Forcing, KernelName};
-use whirls::space::PeriodicBox;
+use whirls::space::Space;
 use whirls::systems::verlet::Step;
 use whirls::vector::Vector;
 use whirls::{Flow, Scene};
@@ -63,8 +63,8 @@ pub(crate) fn random(cases: u32) -> Config {
 }
 
 /// The box of a scene.
-pub(crate) fn space(scene: &Scene) -> PeriodicBox {
-    PeriodicBox { length: scene.fluid.box_length }
+pub(crate) fn space(scene: &Scene) -> Space {
+    scene.space()
 }
 
 /// Distance between neighbours on a scene's lattice.
@@ -164,7 +164,7 @@ pub(crate) fn farthest<const D: usize>(a: &[Vector<f64, D>], b: &[Vector<f64, D>
 
 /// As [`farthest`], for positions in a periodic box.
 pub(crate) fn farthest_image<const D: usize>(
-    space: PeriodicBox,
+    space: Space,
     a: &[Vector<f64, D>],
     b: &[Vector<f64, D>],
 ) -> f64 {

@@ -17,7 +17,7 @@ use whirls::pairs::Pair;
 use whirls::scalar::{
     F64x8, Precision, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_in, on_every_instruction_set,
 };
-use whirls::space::PeriodicBox;
+use whirls::space::Space;
 use whirls::systems::Phase;
 use whirls::systems::acceleration::accelerate;
 use whirls::systems::density::sum_density;
@@ -258,7 +258,7 @@ impl SimdTask for Floor<'_> {
     #[inline(always)]
     fn run<W: SimdFloat>(self) -> f64 {
         let h = self.medium.smoothing.h;
-        let space = PeriodicBox { length: 20.0 * h };
+        let space = Space::cube(20.0 * h);
         let spread = |base: f64, by: f64| {
             let mut lanes = F64x8::ZERO;
             (0..WIDTH).for_each(|l| lanes.set_lane(l, base + by * l as f64));

@@ -43,6 +43,12 @@ impl VelocityField for Abc {
                 "another field in two dimensions: \"abc\" has only a form in three",
                 format!("\"abc\" in dimension {}", scene.dimension),
             ),
+            (
+                scene.dimension != 3 || scene.has_equal_sides(),
+                "initial.field",
+                "equal sides of the box: \"abc\" is a steady flow in a cube only",
+                format!("sides {:?}", scene.space().sides::<3>()),
+            ),
             factor("initial.field.a", self.a),
             factor("initial.field.b", self.b),
             factor("initial.field.c", self.c),

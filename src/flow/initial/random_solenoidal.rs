@@ -4,7 +4,7 @@ use super::VelocityField;
 use crate::flow::{Stream, stream};
 use crate::scene::{Requirement, Scene};
 use crate::vector::Vector;
-use crate::waves::{Wave, Waves, wave_vectors};
+use crate::waves::{Wave, Waves, direction, wave_vectors};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -118,16 +118,17 @@ impl RandomSolenoidal {
         let mut count = vec![0.0; energies.len()];
         vectors.iter().for_each(|n| count[shell(n)] += 1.0);
         let mut generator = stream(scene.seed, Stream::Field);
+        let space = scene.space();
         let waves = vectors.into_iter().map(|n| {
             let shell = shell(&n);
             // A wave of amplitude A has the energy A²/4. Waves of zero energy are drawn as well, so
             // that the others do not change.
             let amplitude = 2.0 * (energies[shell] / count[shell]).sqrt();
             let (cosine, sine) =
-                random_directions(n.map(f64::from), scene.dimension, &mut generator);
+                random_directions(direction(n, space), scene.dimension, &mut generator);
             Wave { n, cosine: cosine.map(|x| amplitude * x), sine: sine.map(|x| amplitude * x) }
         });
-        Waves::new(scene.fluid.box_length, waves.collect())
+        Waves::new(space, waves.collect())
     }
 }
 
@@ -135,7 +136,8 @@ fn length(n: [f64; 3]) -> f64 {
     glam::DVec3::from_array(n).length()
 }
 
-/// Real part and minus the imaginary part of a random complex vector of unit length perpendicular to `n`:
+/// Real part and minus the imaginary part of a random complex vector of unit length perpendicular to
+/// the wave vector along `n`:
 /// the amplitudes of cosine and sine.
 fn random_directions(
     n: [f64; 3],
@@ -159,7 +161,8 @@ fn random_directions(
 impl VelocityField for RandomSolenoidal {
     fn requirements(&self, scene: &Scene) -> Vec<Requirement> {
         let (smallest, largest) = self.spectrum.shells();
-        let resolved = 2 * i128::from(largest) < scene.fluid.particles_per_side as i128;
+        let fewest = scene.lattice()[..scene.dimension.min(3)].iter().min().copied().unwrap_or(0);
+        let resolved = 2 * i128::from(largest) < fewest as i128;
         let (peak, exponent) = match self.spectrum {
             Spectrum::VonKarman { peak, .. } => (peak, 0.0),
             Spectrum::PowerLaw { exponent, .. } => (1.0, exponent),
@@ -170,7 +173,7 @@ impl VelocityField for RandomSolenoidal {
                 (1..=limit(scene.dimension)).contains(&largest) && resolved,
                 "initial.field.spectrum.largest",
                 "a wave number of at least 1 and less than half the particles a side, at most 64 in 2D and 16 in 3D",
-                format!("{largest} with {} particles a side", scene.fluid.particles_per_side),
+                format!("{largest} with {fewest} particles a side"),
             ),
             (
                 (1..=largest).contains(&smallest),

@@ -3,12 +3,13 @@
 use super::VelocityField;
 use crate::scene::{Requirement, Scene};
 use crate::vector::Vector;
+use crate::waves::wave_numbers;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::TAU;
 
 /// `u = U (sin kx cos ky, −cos kx sin ky)` in two dimensions, and in three
 /// `u = U (sin kx cos ky cos kz, −cos kx sin ky cos kz, 0)`, with `k = 2π/L` and `U = initial.velocity`.
+/// In a box that is no cube each axis has its own `k`, and the second component the factor `k_x/k_y`.
 ///
 /// It is free of divergence. In two dimensions it keeps its form and decays as `e^{−2νk²t}`; in
 /// three it breaks down into turbulence (Taylor & Green 1937, doi:10.1098/rspa.1937.0036; Brachet
@@ -29,8 +30,13 @@ impl VelocityField for TaylorGreen {
         positions: &[Vector<f64, D>],
         _: &mut ChaCha8Rng,
     ) -> Vec<Vector<f64, D>> {
-        let k = TAU / scene.fluid.box_length;
-        let at = |r: &Vector<f64, D>| velocity(r.map(|x| k * x)) * scene.initial.velocity;
+        let k = wave_numbers(scene.space());
+        let at = |r: &Vector<f64, D>| {
+            let angles = Vector(std::array::from_fn(|axis| k[axis] * r[axis]));
+            let mut unit = velocity::<D>(angles);
+            unit[1] *= k[0] / k[1];
+            unit * scene.initial.velocity
+        };
         positions.iter().map(at).collect()
     }
 }

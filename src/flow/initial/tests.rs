@@ -110,7 +110,7 @@ fn follows_its_spectrum<const D: usize>(per_side: usize, field: &str) {
     let scene = scene::<D>(per_side, field);
     let Field::RandomSolenoidal(random) = &scene.initial.field else { panic!("{field}") };
     let velocities = State::<D>::initial(&scene).velocities;
-    let mesh = Mesh { per_axis: per_side, length: 3.0 };
+    let mesh = Mesh::cube(3.0, per_side);
     let found = energy_spectrum(&mesh, &velocities);
     let mut asked: Vec<f64> =
         random.spectrum.energies(D).into_iter().map(|e| 0.7 * 0.7 * e).collect();

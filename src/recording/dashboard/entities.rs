@@ -58,7 +58,9 @@ fn particles(
     stream.set_duration_secs("time", cloud.time.max(0.0));
     stream.set_time_sequence("step", i64::try_from(cloud.step).unwrap_or(i64::MAX));
     let count = cloud.positions.len().max(1) as f64;
-    let radius = RADIUS * run.box_length * count.powf(-1.0 / run.dimension as f64);
+    let space = run.space();
+    let volume = if run.dimension == 2 { space.volume::<2>() } else { space.volume::<3>() };
+    let radius = RADIUS * (volume / count).powf(1.0 / run.dimension as f64);
     let colours = shades(cloud, run).map(|fraction| {
         let [r, g, b, a] = colour(fraction);
         rerun::Color::from_unmultiplied_rgba(r, g, b, a)
@@ -76,7 +78,7 @@ fn particles(
 
 /// A point of the plane in the coordinates of the viewer, in which the second axis points down.
 fn upward(row: [f64; 3], run: &RunInfo) -> [f32; 2] {
-    [row[0] as f32, (run.box_length - row[1]) as f32]
+    [row[0] as f32, (run.space().side(1) - row[1]) as f32]
 }
 
 /// Fractions of the colour scale: the speed of a flow; for any other cloud the first column divided
@@ -97,20 +99,21 @@ fn shades<'a>(cloud: &'a Cloud, run: &RunInfo) -> Box<dyn Iterator<Item = f64> +
     Box::new(first.values.iter().map(move |x| 0.5 + 0.5 * x / largest))
 }
 
-/// The periodic box, as thin grey lines beside the particles of a topic.
+/// The box, as thin grey lines beside the particles of a topic.
 fn outline(stream: &RecordingStream, topic: &str, run: &RunInfo) -> RecordingStreamResult<()> {
-    let (edge, half) = (run.box_length as f32, 0.5 * run.box_length as f32);
+    let [x, y, z] = run.space().sides().map(|side: f64| side as f32);
     let folder = topic.rsplit_once('/').map_or("", |(folder, _)| folder);
     let path = format!("{folder}/box");
     let [r, g, b, a] = GREY;
     let grey = rerun::Color::from_unmultiplied_rgba(r, g, b, a);
     let thin = rerun::Radius::new_ui_points(0.75);
     if run.dimension == 2 {
-        let corners = [[0.0, 0.0], [edge, 0.0], [edge, edge], [0.0, edge], [0.0, 0.0]];
+        let corners = [[0.0, 0.0], [x, 0.0], [x, y], [0.0, y], [0.0, 0.0]];
         let square = LineStrips2D::new([corners]).with_colors([grey]).with_radii([thin]);
         stream.log_static(path, &square)
     } else {
-        let cube = Boxes3D::from_centers_and_half_sizes([[half; 3]], [[half; 3]]);
+        let half = [[0.5 * x, 0.5 * y, 0.5 * z]];
+        let cube = Boxes3D::from_centers_and_half_sizes(half, half);
         stream.log_static(path, &cube.with_colors([grey]).with_radii([thin]))
     }
 }

@@ -59,7 +59,7 @@ impl Content {
         let start = times.iter().copied().fold(f64::INFINITY, f64::min);
         Ok(Self {
             dimension: recording.run().dimension,
-            edge: recording.run().box_length as f32,
+            edge: recording.run().space().longest::<3>() as f32,
             span: (start, times.into_iter().fold(0.0, f64::max)),
             clouds,
             values: recording.value_topics(),

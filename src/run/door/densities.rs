@@ -4,7 +4,7 @@ use super::Findings;
 use crate::error::Result;
 use crate::kernel::KernelChoice;
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::truth::{Truth, summed_densities};
 
 /// A kernel with its smoothing length.
@@ -40,7 +40,7 @@ const LASTING: f64 = 1e-4;
 pub(crate) fn sum_where_missing<const D: usize>(
     truth: &mut Truth<D>,
     Kernel { kernel, h }: Kernel,
-    space: PeriodicBox,
+    space: Space,
 ) {
     for (state, densities) in truth.states.iter().zip(&mut truth.densities) {
         if densities.len() != state.positions.len() {
@@ -58,7 +58,7 @@ pub(crate) fn sum_where_missing<const D: usize>(
 pub(crate) fn settle<const D: usize>(
     truth: &mut Truth<D>,
     kernel: Kernel,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     let given = std::mem::take(&mut truth.densities);
@@ -91,7 +91,7 @@ pub(crate) fn settle<const D: usize>(
 pub(crate) fn check<const D: usize>(
     truth: &Truth<D>,
     kernel: Option<Kernel>,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     let Some(kernel) = kernel else {

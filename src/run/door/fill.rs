@@ -4,7 +4,7 @@ use super::Findings;
 use crate::error::Result;
 use crate::flow::State;
 use crate::kernel::KernelChoice;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::truth::summed_densities;
 
 /// Number of particles below which the check is skipped.
@@ -27,35 +27,38 @@ const NAMES: [&str; 3] = ["x", "y", "z"];
 /// smaller than their own.
 pub(super) fn check<const D: usize>(
     state: &State<D>,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     let count = state.positions.len();
     if count < FEWEST {
         return Ok(());
     }
-    let per_axis = (count as f64).powf(1.0 / D as f64);
-    let spacing = space.length / per_axis;
+    let spacing = space.spacing::<D>(count);
     for (axis, name) in NAMES.into_iter().enumerate().take(D) {
         let along: Vec<f64> = state.positions.iter().map(|r| r.0[axis]).collect();
         let (low, high) = ends(&along);
-        if high - low <= 1e-9 * space.length {
+        let side = space.side(axis);
+        if high - low <= 1e-9 * side {
             say_flat(state, (axis, low), findings)?;
             continue;
         }
-        if high - low > 1.02 * space.length {
-            check_folded(state, space, (name, low, high), findings)?;
+        if !space.is_periodic(axis) {
             continue;
         }
-        let gap = widest_gap(&along, space);
+        if high - low > 1.02 * side {
+            check_folded(state, (space, axis), (low, high), findings)?;
+            continue;
+        }
+        let gap = widest_gap(&along, side);
         if gap > WIDEST * spacing {
             let found = format!(
                 "{name} from {low:.6} to {high:.6}, with nothing along {gap:.6} of the box; they look like those of a \
                  box of {:.6} to {:.6}",
-                space.length - gap,
-                (space.length - gap) * per_axis / (per_axis - 1.0)
+                side - gap,
+                (side - gap) * side / (side - spacing)
             );
-            let expected = format!("particles all over a box of {}", space.length);
+            let expected = format!("particles all over a box of {side}");
             return findings.refuse(expected, found, FILLED);
         }
     }
@@ -83,11 +86,11 @@ fn say_flat<const D: usize>(
 /// Refuses particles that span more than a box and overlap when folded into it.
 fn check_folded<const D: usize>(
     state: &State<D>,
-    space: PeriodicBox,
-    (name, low, high): (&str, f64, f64),
+    (space, axis): (Space, usize),
+    (low, high): (f64, f64),
     findings: &mut Findings,
 ) -> Result<()> {
-    let spacing = space.length / (state.positions.len() as f64).powf(1.0 / D as f64);
+    let (name, spacing) = (NAMES[axis], space.spacing::<D>(state.positions.len()));
     let rho = summed_densities((KernelChoice::CubicSpline, 1.2 * spacing), space, &state.positions);
     let mean = rho.iter().sum::<f64>() / rho.len() as f64;
     let spread = rho.iter().map(|rho| (rho - mean).powi(2)).sum::<f64>() / rho.len() as f64;
@@ -99,7 +102,7 @@ fn check_folded<const D: usize>(
          differ by {:.0} %)",
         100.0 * spread.sqrt() / mean
     );
-    let expected = format!("particles of a box of {}", space.length);
+    let expected = format!("particles of a box of {}", space.side(axis));
     findings.refuse(expected, found, FILLED)
 }
 
@@ -109,9 +112,9 @@ fn ends(numbers: &[f64]) -> (f64, f64) {
 }
 
 /// The longest gap of a periodic axis without a particle.
-fn widest_gap(along: &[f64], space: PeriodicBox) -> f64 {
-    let mut inside: Vec<f64> = along.iter().map(|x| x.rem_euclid(space.length)).collect();
+fn widest_gap(along: &[f64], side: f64) -> f64 {
+    let mut inside: Vec<f64> = along.iter().map(|x| x.rem_euclid(side)).collect();
     inside.sort_unstable_by(f64::total_cmp);
-    let seam = inside.first().zip(inside.last()).map_or(0.0, |(a, b)| a + space.length - b);
+    let seam = inside.first().zip(inside.last()).map_or(0.0, |(a, b)| a + side - b);
     inside.windows(2).map(|pair| pair[1] - pair[0]).fold(seam, f64::max)
 }

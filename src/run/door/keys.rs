@@ -5,6 +5,7 @@ use crate::error::Result;
 use crate::parameters::Parameter;
 use crate::recording::Recording;
 use crate::scene::{Forcing, Learn, Scene};
+use crate::space::Space;
 
 /// Refuses another box; round-off is no difference.
 pub(super) fn check_box(
@@ -12,12 +13,27 @@ pub(super) fn check_box(
     scene: &Scene,
     findings: &mut Findings,
 ) -> Result<()> {
-    let (expected, found) = (scene.fluid.box_length, recording.run().box_length);
-    if alike(expected, found) {
+    let (expected, found) = (scene.space(), recording.run().space());
+    let axes = 0..scene.dimension.min(3);
+    if axes.clone().any(|axis| expected.axis(axis) != found.axis(axis)) {
+        let kinds = |space: Space| axes.clone().map(|axis| space.axis(axis)).collect::<Vec<_>>();
+        let expected = format!("axes that are {:?}", kinds(expected));
+        return findings.refuse(
+            expected,
+            format!("{:?}", kinds(found)),
+            "set fluid.boundary to it",
+        );
+    }
+    if axes.clone().all(|axis| alike(expected.side(axis), found.side(axis))) {
         return Ok(());
     }
-    let remedy = "set fluid.box_length to it";
-    findings.refuse(format!("a box of {expected}"), found, remedy)
+    let of = |space: Space| match space.is_periodic_cube::<3>() {
+        true => format!("{}", space.side(0)),
+        false => format!("{:?}", &space.sides::<3>()[axes.clone()]),
+    };
+    let key = if found.is_periodic_cube::<3>() { "box_length" } else { "sides" };
+    let remedy = format!("set fluid.{key} to it");
+    findings.refuse(format!("a box of {}", of(expected)), of(found), remedy)
 }
 
 /// Whether two numbers are equal to round-off.

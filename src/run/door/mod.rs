@@ -29,7 +29,7 @@ use crate::error::{Error, Result};
 use crate::flow::State;
 use crate::recording::{self, Numbered, Recording};
 use crate::scene::Scene;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::truth::Truth;
 use crate::vector::Vector;
 use std::path::Path;
@@ -107,7 +107,7 @@ const FARTHEST: f64 = 1e6;
 /// Checks states for consistency with themselves.
 pub(crate) fn check_itself<const D: usize>(
     truth: &Truth<D>,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     check_numbers(truth, space, findings)?;
@@ -121,7 +121,7 @@ pub(crate) fn check_itself<const D: usize>(
 /// Refuses numbers that are not finite, and frames with other particles than the first.
 fn check_numbers<const D: usize>(
     truth: &Truth<D>,
-    space: PeriodicBox,
+    space: Space,
     findings: &Findings,
 ) -> Result<()> {
     let count = truth.states.first().map_or(0, |state| state.positions.len());
@@ -138,7 +138,9 @@ fn check_numbers<const D: usize>(
                 return findings.never(expected, found, remedy);
             }
         }
-        if let Some((i, what, found)) = lost_number(state, densities, FARTHEST * space.length) {
+        if let Some((i, what, found)) =
+            lost_number(state, densities, FARTHEST * space.longest::<D>())
+        {
             let expected = format!("a usable {what} of particle {i} in frame {k}");
             let remedy =
                 "correct that number, or leave out the particle or the frames from there on";
@@ -234,7 +236,7 @@ pub fn admit<const D: usize>(
     }
     let numbered = (first..=first + frames).map(|k| recording.numbered(topic, k));
     let mut truth = truth_of(numbered, &findings)?;
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     check_itself(&truth, space, &mut findings)?;
     check_interval(&truth, scene, &mut findings)?;
     keys::check_truth(recording, scene, &mut findings)?;
@@ -307,7 +309,7 @@ pub fn admit_state<const D: usize>(
         return findings.never(expected, found, "choose a frame that is there");
     }
     let mut truth = truth_of::<D>(std::iter::once(recording.numbered(topic, k)), &findings)?;
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     check_itself(&truth, space, &mut findings)?;
     keys::check_state(&recording, scene, &mut findings);
     let mut state = truth.states.swap_remove(0);

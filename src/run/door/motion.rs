@@ -3,7 +3,7 @@
 
 use super::{Findings, median};
 use crate::error::Result;
-use crate::space::PeriodicBox;
+use crate::space::Space;
 use crate::truth::Truth;
 use crate::vector::Vector;
 
@@ -35,7 +35,7 @@ pub(crate) struct Misses<const D: usize> {
 }
 
 /// Follows particles through the frames.
-pub(crate) fn misses<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> Misses<D> {
+pub(crate) fn misses<const D: usize>(truth: &Truth<D>, space: Space) -> Misses<D> {
     let count = truth.states.first().map_or(0, |state| state.positions.len());
     let mut ways = Vec::with_capacity(count);
     let (mut miss, mut way, mut unknown) = (Vec::new(), Vec::new(), Vec::new());
@@ -72,14 +72,18 @@ pub(crate) fn misses<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> Mi
 }
 
 /// The shortest image of any difference.
-fn image<const D: usize>(difference: Vector<f64, D>, space: PeriodicBox) -> Vector<f64, D> {
-    difference.map(|x| x - space.length * (x / space.length).round())
+fn image<const D: usize>(difference: Vector<f64, D>, space: Space) -> Vector<f64, D> {
+    let image = |axis: usize| {
+        let (x, side) = (difference[axis], space.side(axis));
+        if space.is_periodic(axis) { x - side * (x / side).round() } else { x }
+    };
+    Vector(std::array::from_fn(image))
 }
 
 /// Refuses particles that do not move by their velocities.
 pub(super) fn check<const D: usize>(
     truth: &Truth<D>,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     if truth.states.len() < 2 {
@@ -87,7 +91,7 @@ pub(super) fn check<const D: usize>(
     }
     let found = misses(truth, space);
     let went = median(found.ways.iter().map(|(went, _)| went.norm()).collect());
-    if found.way.max(went) <= 1e-9 * space.length {
+    if found.way.max(went) <= 1e-9 * space.longest::<D>() {
         return check_jumps(truth, space, findings);
     }
     let share = found.miss / found.way;
@@ -108,11 +112,7 @@ pub(super) fn check<const D: usize>(
 }
 
 /// A diagnosis of the data, and a remedy.
-fn diagnose<const D: usize>(
-    truth: &Truth<D>,
-    space: PeriodicBox,
-    found: &Misses<D>,
-) -> (String, String) {
+fn diagnose<const D: usize>(truth: &Truth<D>, space: Space, found: &Misses<D>) -> (String, String) {
     let miss = format!("a miss of {:.3e} on a way of {:.3e}", found.miss, found.way);
     let (factor, likeness) = factor_of(&found.ways);
     if likeness > 0.9 {
@@ -128,8 +128,9 @@ fn diagnose<const D: usize>(
         return (says, "turn the signs of the velocities, or the order of the frames".to_owned());
     }
     let per_frame = found.way / (truth.states.len() - 1) as f64;
-    if per_frame > 0.25 * space.length {
-        let says = format!("{miss}: v dt is {:.3e} boxes a frame", per_frame / space.length);
+    let side = space.shortest::<D>();
+    if per_frame > 0.25 * side {
+        let says = format!("{miss}: v dt is {:.3e} boxes a frame", per_frame / side);
         return (says, "give velocities and time in the units of the box".to_owned());
     }
     if reordered(truth, space) {
@@ -161,10 +162,10 @@ fn factor_of<const D: usize>(ways: &[(Vector<f64, D>, Vector<f64, D>)]) -> (f64,
 
 /// Whether the velocity of some particle leads to the position of another one; checked for some
 /// particles between two frames.
-fn reordered<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> bool {
+fn reordered<const D: usize>(truth: &Truth<D>, space: Space) -> bool {
     let [from, to] = [&truth.states[0], &truth.states[1]];
     let count = from.positions.len();
-    let spacing = space.length / (count as f64).powf(1.0 / D as f64);
+    let spacing = space.spacing::<D>(count);
     let nearest = (0..count).step_by(count.div_ceil(64)).map(|i| {
         let there = from.positions[i] + from.velocities[i] * (to.time - from.time);
         let apart = |r: &Vector<f64, D>| image(*r - there, space).norm();
@@ -176,7 +177,7 @@ fn reordered<const D: usize>(truth: &Truth<D>, space: PeriodicBox) -> bool {
 /// Checks for single particles that jump between two frames.
 fn check_jumps<const D: usize>(
     truth: &Truth<D>,
-    space: PeriodicBox,
+    space: Space,
     findings: &mut Findings,
 ) -> Result<()> {
     let (mut all, mut ways) = (Vec::new(), Vec::new());
@@ -189,7 +190,7 @@ fn check_jumps<const D: usize>(
             ways.push(pair[0].velocities[i].norm() * dt);
         }
     }
-    let way = median(ways).max(1e-9 * space.length);
+    let way = median(ways).max(1e-9 * space.longest::<D>());
     let usual = median(all.iter().map(|(miss, ..)| *miss).collect());
     let beyond = |(share, times): (f64, f64)| {
         move |(miss, ..): &&(f64, usize, usize)| *miss > share * way && *miss > times * usual

@@ -234,10 +234,10 @@ macro_rules! wide_singles {
             space: Surroundings,
         ) -> Vector<Self, D> {
             let [x, y, z, density] = Self::columns(others, 0);
-            let unit = Self::of(unit(space));
             let mut separation = Vector::zero();
             for (axis, there) in [x, y, z].into_iter().enumerate().take(D) {
-                separation[axis] = Self::steps(here.position[axis], there) * unit;
+                separation[axis] =
+                    Self::steps(here.position[axis], there) * Self::of(unit(space, axis));
             }
             let sentinel = Self::of(FAR);
             separation[0] = Self::select_less(density, Self::of(0.0), sentinel, separation[0]);
