@@ -1,8 +1,8 @@
 //! How pair loops read one particle and eight neighbours at a time.
 
-pub use crate::chunk::{AHEAD, CHUNK, Chunk, Eight, Entry, MAX_BLOCKS_PER_TASK};
-pub use crate::list_builder::{ListBuilder, Lists};
-use crate::near::Near;
+pub use crate::neighbours::chunk::{AHEAD, CHUNK, Chunk, Eight, Entry, MAX_BLOCKS_PER_TASK};
+pub use crate::neighbours::list_builder::{ListBuilder, Lists};
+use crate::neighbours::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSingle};
 use crate::scalar::{Precision, Scalar, SimdFloat, WIDTH};
 use crate::space::Space;

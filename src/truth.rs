@@ -2,11 +2,11 @@
 //!
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
-use crate::cells::Cells;
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
 use crate::kernel::{KernelChoice, Smoothing};
 use crate::losses::{IncrementDensities, Mesh, Points, field, sampling_floor};
+use crate::neighbours::cells::Cells;
 use crate::packed::Packed;
 use crate::scene::{Learn, Scene, Times};
 use crate::space::Space;
@@ -212,7 +212,7 @@ pub fn summed_densities<const D: usize>(
     let density = |&here: &Vector<f64, D>| {
         let mut sum = 0.0;
         for range in cells.around(cells.coordinates(here)).ranges() {
-            for &row in &cells.row_of_slot[range.from as usize..range.to as usize] {
+            for &row in &cells.order().rows()[range.from as usize..range.to as usize] {
                 let apart = space.minimum_image(here - positions[row as usize]).norm();
                 sum += smoothing.value(apart);
             }
@@ -241,7 +241,7 @@ pub fn velocity_field<const D: usize>(
         density: densities[row as usize],
         p_over_rho2: 0.0,
     };
-    let packed: Vec<Packed> = cells.row_of_slot.iter().map(line).collect();
+    let packed: Vec<Packed> = cells.order().rows().iter().map(line).collect();
     let mass = space.volume::<D>() / packed.len() as f64;
     let points = Points { packed: &packed, cells: &cells, space, smoothing: &smoothing, mass };
     field(mesh, &points)

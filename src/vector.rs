@@ -1,4 +1,6 @@
-//! Vectors of dimension `D` over any [`Scalar`]; glam's `DVec2` and `DVec3` convert to and from them.
+//! Vectors of dimension `D` over any [`Scalar`]: the numbers of the pair loops, which are written once for both
+//! dimensions, for lanes and for dual numbers. glam's `DVec2` and `DVec3` convert to and from them, and are what the
+//! components of a particle show ([`crate::systems::particles`]).
 
 use crate::scalar::Scalar;
 use glam::{DVec2, DVec3};

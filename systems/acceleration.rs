@@ -3,14 +3,16 @@
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 use super::near::Pairs;
-use super::neighbours::Neighbours;
-use super::particles::{AdjointCloud, Cloud, ScratchPool, SensitivityCloud, side_by_side};
+use super::particles::{
+    Accelerations, AdjointCloud, EvaluatedPairs, PairInputs, ScratchPool, SensitivityCloud,
+    pairs_of, side_by_side,
+};
 use super::term::{Contribution, ContributionKind, Stage, Term};
 use super::{Needs, Occasion, Phase};
 use crate::models::{
     ForceJacobian, ForceOutput, Model, PairShare, PullbackOutput, Scratch, TangentOptions,
 };
-use crate::near::Near;
+use crate::neighbours::near::Near;
 use crate::packed::PackedAdjoint;
 use crate::pairs::{CHUNK, MAX_BLOCKS_PER_TASK, Neighbourhood};
 use crate::parameters::ParameterSpec;
@@ -132,10 +134,10 @@ impl<const D: usize> Term<D> for PairForces {
     }
 
     fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
-        let (laws, cloud) = (world.resource::<Laws<D>>(), world.resource::<Cloud<D>>());
+        let laws = world.resource::<Laws<D>>();
         let Some(law) = laws.all().nth(self.law) else { return Vec::new() };
-        let pairs = cloud.pairs(world.resource::<Neighbours<D>>());
-        let mut accelerations = vec![Vector::zero(); cloud.len()];
+        let pairs = pairs_of::<D>(world);
+        let mut accelerations = vec![Vector::zero(); world.resource::<PairInputs>().len()];
         let names = law.model.part_names().iter().enumerate();
         names
             .map(|(part, name)| {
@@ -162,16 +164,17 @@ impl<const D: usize> Term<D> for PairForces {
 pub(super) const WINDOW: usize = 4;
 
 /// System: the force of all pairs, law by law.
+#[doc(hidden)]
 pub fn accelerate<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
+    evaluated: EvaluatedPairs<'_, D>,
     laws: Res<Laws<D>>,
-    mut cloud: ResMut<Cloud<D>>,
+    mut sum: ResMut<Accelerations<D>>,
 ) {
-    let mut acceleration = std::mem::take(&mut cloud.acceleration);
-    let pairs = cloud.pairs(&neighbours);
+    let pairs = evaluated.pairs();
+    sum.0.resize(evaluated.len(), Vector::zero());
     for (number, law) in laws.all().enumerate() {
         law.scratch_pool.make_room(&*law.model, pairs.fullest());
-        let chunks = acceleration.par_chunks_mut(CHUNK).enumerate();
+        let chunks = sum.0.par_chunks_mut(CHUNK).enumerate();
         chunks.with_max_len(MAX_BLOCKS_PER_TASK).for_each(|(chunk, accelerations)| {
             pairs.meet(chunk, law, |neighbourhood, scratch| {
                 let out = ForceOutput { accelerations, add: number > 0 };
@@ -179,7 +182,6 @@ pub fn accelerate<const D: usize>(
             });
         });
     }
-    cloud.acceleration = acceleration;
 }
 
 /// System: the tangent of [`accelerate`] for every block of parameters. It is the sum of two parts:
@@ -188,13 +190,13 @@ pub fn accelerate<const D: usize>(
 ///
 /// Pairs are linearised once, a few chunks at a time, and then applied to one block after another.
 /// A block's sensitivities are prefetched while the block before it is computed.
+#[doc(hidden)]
 pub fn accelerate_tangent<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
+    evaluated: EvaluatedPairs<'_, D>,
     laws: Res<Laws<D>>,
-    cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let pairs = cloud.pairs(&neighbours);
+    let pairs = evaluated.pairs();
     for (number, law) in laws.all().enumerate() {
         add_tangent(number, law, pairs, &mut sensitivities);
     }
@@ -285,18 +287,18 @@ fn add_shares<const D: usize>(
 }
 
 /// System: the pullback of [`accelerate`].
+#[doc(hidden)]
 pub fn accelerate_pullback<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
+    evaluated: EvaluatedPairs<'_, D>,
     laws: Res<Laws<D>>,
-    cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let pairs = cloud.pairs(&neighbours);
+    let pairs = evaluated.pairs();
     for law in laws.all() {
         pull_back(law, pairs, &mut adjoint);
         if law.model.passes_to_neighbours() {
             let AdjointCloud { senders, near, .. } = &mut *adjoint;
-            senders.find(near, cloud.len());
+            senders.find(near, evaluated.len());
             fetch_shares(&mut adjoint);
         }
     }

@@ -9,12 +9,13 @@ use super::density_tangent::{
 use super::near::Pairs;
 use super::neighbours::Neighbours;
 use super::particles::{
-    AdjointCloud, Cloud, Density, ParticleId, SensitivityBlock, SensitivityCloud, side_by_side,
+    AdjointCloud, Densities, Density, EvaluatedPairs, PairInputs, ParticleId, SensitivityBlock,
+    SensitivityCloud, side_by_side,
 };
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::cells::MIN_PARALLEL_LEN;
 use crate::models::{FluidConstants, Medium, Model, Scratch};
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
 use crate::packed::{Packed, PackedAdjoint};
 use crate::pairs::{
     AHEAD, CHUNK, Chunk, Entry, Lines, MAX_BLOCKS_PER_TASK, Neighbourhood, adjoints, separation,
@@ -90,27 +91,28 @@ impl<const D: usize> DensityPass<'_, D> {
 }
 
 /// System: sums the density of every particle, and evaluates the model's `A(ρ)`.
+#[doc(hidden)]
 pub fn sum_density<const D: usize>(
     neighbours: Res<Neighbours<D>>,
     laws: Res<Laws<D>>,
-    mut cloud: ResMut<Cloud<D>>,
+    mut inputs: ResMut<PairInputs>,
+    mut densities: ResMut<Densities>,
 ) {
     let (model, scratch_pool) = (laws.model(), &laws.model.scratch_pool);
     let (space, medium) = (neighbours.embedded, model.medium());
-    let (mut density, mut masks) =
-        (std::mem::take(&mut cloud.density), std::mem::take(&mut cloud.masks));
+    let Densities { by_slot, masks } = &mut *densities;
+    by_slot.resize(inputs.len(), 0.0);
     masks.resize_with(neighbours.chunks.len(), Vec::new);
-    let lines = cloud.lines();
-    let chunks = neighbours.chunks.par_iter().zip(density.par_chunks_mut(CHUNK)).zip(&mut masks);
+    let lines = inputs.lines();
+    let chunks = neighbours.chunks.par_iter().zip(by_slot.par_chunks_mut(CHUNK)).zip(masks);
     chunks.with_max_len(MAX_BLOCKS_PER_TASK).for_each(|((chunk, density), masks)| {
         chunk.make_masks(masks);
         let pass = DensityPass { lines, chunk, space, medium, density, masks };
         dispatch_by_kernel(medium.smoothing.is_table(), lines.precision, pass);
     });
-    (cloud.density, cloud.masks) = (density, masks);
-    let Cloud { packed, singles, density, .. } = &mut *cloud;
-    let count = density.len();
-    let lines = packed[..count].par_chunks_mut(CHUNK).zip(density.par_chunks(CHUNK));
+    let PairInputs { packed, singles, .. } = &mut *inputs;
+    let count = by_slot.len();
+    let lines = packed[..count].par_chunks_mut(CHUNK).zip(by_slot.par_chunks(CHUNK));
     lines.for_each(|(lines, density)| {
         lines.iter_mut().zip(density).for_each(|(line, &rho)| line.density = rho);
         if model.has_pressure() {
@@ -148,33 +150,35 @@ fn find_p_over_rho2<const D: usize>(
 }
 
 /// System: writes the densities back to the particles.
+#[doc(hidden)]
 pub fn write_density<const D: usize>(
-    mut densities: Query<(&ParticleId, &mut Density)>,
-    cloud: Res<Cloud<D>>,
+    mut rows: Query<(&ParticleId, &mut Density)>,
+    neighbours: Res<Neighbours<D>>,
+    densities: Res<Densities>,
 ) {
-    let slots = &cloud.slot_of_row[..];
-    for (ids, mut column) in densities.contiguous_iter_mut().into_iter().flatten() {
+    let order = neighbours.order();
+    for (ids, mut column) in rows.contiguous_iter_mut().into_iter().flatten() {
         let rows = column.par_iter_mut().zip(ids).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(density, id)| {
-            if let Some(&slot) = slots.get(id.0 as usize) {
-                density.0 = cloud.density[slot as usize];
+            if let Some(slot) = order.slot(id.0 as usize) {
+                density.0 = densities.by_slot[slot];
             }
         });
     }
 }
 
 /// System: the tangent of [`sum_density`] for every block of parameters.
+#[doc(hidden)]
 pub fn sum_density_tangent<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
+    evaluated: EvaluatedPairs<'_, D>,
     laws: Res<Laws<D>>,
-    cloud: Res<Cloud<D>>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
-    let (law, pairs) = (&laws.model, cloud.pairs(&neighbours));
+    let (law, pairs) = (&laws.model, evaluated.pairs());
     let model = laws.model();
-    let (medium, precision) = (model.medium(), cloud.precision);
+    let (medium, precision) = (model.medium(), evaluated.inputs.precision);
     let SensitivityCloud { blocks, coupling, p_over_rho2_slopes, pulls, .. } = &mut *sensitivities;
-    p_over_rho2_slopes.resize(cloud.len(), 0.0);
+    p_over_rho2_slopes.resize(evaluated.len(), 0.0);
     let coupling = *coupling;
     pulls.resize_with(pairs.chunks().min(WINDOW), DensityJacobian::default);
     let (mut packed, mut changes, mut shapes) = (Vec::new(), Vec::new(), Vec::new());
@@ -211,7 +215,8 @@ pub fn sum_density_tangent<const D: usize>(
         let (directions, weights) = (&directions[0][..], &weights[0][..]);
         columns.push(StressColumns { density, directions, weights });
     }
-    let chunks = side_by_side(packed).into_par_iter().zip(cloud.particles().par_chunks(CHUNK));
+    let particles = evaluated.inputs.particles().par_chunks(CHUNK);
+    let chunks = side_by_side(packed).into_par_iter().zip(particles);
     let chunks = chunks.zip(p_over_rho2_slopes.par_chunks_mut(CHUNK)).enumerate();
     chunks.for_each(|(chunk, ((lines, particles), slopes))| {
         law.scratch_pool.enter(model, |scratch| {
@@ -259,33 +264,36 @@ impl<const D: usize> SimdTask for DensityPullback<'_, D> {
 
 /// System: the pullback of [`sum_density`]: turns `∂L/∂A` and `∂L/∂ρ` into `∂L/∂r` and derivatives
 /// by parameters.
+#[doc(hidden)]
 pub fn sum_density_pullback<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
+    evaluated: EvaluatedPairs<'_, D>,
     laws: Res<Laws<D>>,
-    cloud: Res<Cloud<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let (law, model) = (&laws.model, laws.model());
     let places = if model.has_p_over_rho2_network() { &law.places } else { law.scalars() };
     adjoint.sum_parameters(places, |adjoint, sums, width| {
         let AdjointCloud { packed: lines, scalars, .. } = adjoint;
-        let chunks = scalars.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
+        let particles = evaluated.inputs.particles().par_chunks(CHUNK);
+        let chunks = scalars.par_chunks(CHUNK).zip(particles);
         let chunks = chunks.zip(sums.par_chunks_mut(width));
-        lines[..cloud.len()].par_chunks_mut(CHUNK).zip(chunks).for_each(|(lines, (rows, sums))| {
-            law.scratch_pool.enter(model, |scratch| {
-                scratch.clear();
-                pull_p_over_rho2_back(model, scratch, rows, lines);
-                scratch.write_sums(sums);
-            });
-        });
+        lines[..evaluated.len()].par_chunks_mut(CHUNK).zip(chunks).for_each(
+            |(lines, (rows, sums))| {
+                law.scratch_pool.enter(model, |scratch| {
+                    scratch.clear();
+                    pull_p_over_rho2_back(model, scratch, rows, lines);
+                    scratch.write_sums(sums);
+                });
+            },
+        );
     });
-    pull_back_to_kernel(law, cloud.pairs(&neighbours), &mut adjoint);
+    pull_back_to_kernel(law, evaluated.pairs(), &mut adjoint);
     let AdjointCloud { packed: by_density, position, near, .. } = &mut *adjoint;
-    let (pairs, adjoint, medium) = (cloud.pairs(&neighbours), &by_density[..], model.medium());
+    let (pairs, adjoint, medium) = (evaluated.pairs(), &by_density[..], model.medium());
     near.par_iter().zip(position.par_chunks_mut(CHUNK)).for_each(|(near, position)| {
         let neighbourhood = pairs.neighbourhood(near);
         let pass = DensityPullback { neighbourhood, adjoint, medium, position };
-        dispatch_by_kernel(medium.smoothing.is_table(), cloud.precision, pass);
+        dispatch_by_kernel(medium.smoothing.is_table(), evaluated.inputs.precision, pass);
     });
 }
 
@@ -320,13 +328,14 @@ fn pull_back_to_kernel<const D: usize>(
 
 /// System: takes the place of [`sum_density_pullback`] for forces that used the densities of an
 /// earlier evaluation at the same positions. It carries `∂L/∂A` and `∂L/∂ρ` to that evaluation.
+#[doc(hidden)]
 pub fn carry_density_pullback<const D: usize>(
-    cloud: Res<Cloud<D>>,
+    neighbours: Res<Neighbours<D>>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let AdjointCloud { scalars, carried, .. } = &mut *adjoint;
     carried.clear();
-    carried.extend(cloud.slot_of_row.iter().map(|&slot| scalars[slot as usize]));
+    carried.extend(neighbours.order().slots().iter().map(|&slot| scalars[slot as usize]));
 }
 
 /// `(∂L/∂A, ∂L/∂ρ)` of some particles, and the particles.

@@ -26,7 +26,7 @@
 //! use whirls::{Flow, Scene};
 //!
 //! fn drag(mut velocities: Query<&mut Velocity<2>>) {
-//!     velocities.iter_mut().for_each(|mut v| v.0 = v.0 * 0.999);
+//!     velocities.iter_mut().for_each(|mut velocity| **velocity *= 0.999);
 //! }
 //!
 //! let scene = Scene::shipped("inverse-2d")?;
@@ -39,19 +39,23 @@
 //! Equation numbers and appendices are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 pub mod acceleration;
+#[doc(hidden)]
 pub mod columns;
 pub mod density;
+#[doc(hidden)]
 pub mod density_tangent;
 pub mod forcing;
-mod lists;
 pub mod loss;
-mod movement;
+#[doc(hidden)]
 pub mod near;
 pub mod neighbours;
+#[doc(hidden)]
 pub mod packing;
 pub mod particle_force;
 pub mod particles;
+#[doc(hidden)]
 pub mod programs;
+#[doc(hidden)]
 pub mod tape;
 pub mod term;
 pub mod verlet;

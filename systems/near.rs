@@ -3,7 +3,7 @@
 use super::acceleration::PairTerm;
 use super::neighbours::Neighbours;
 use crate::models::Scratch;
-use crate::near::Near;
+use crate::neighbours::near::Near;
 use crate::pairs::{Chunk, Lines, Neighbourhood};
 use crate::space::Space;
 

@@ -2,17 +2,19 @@
 //! after it; with the tangents and pullbacks of both.
 
 use super::loss::Observations;
+use super::near::Pairs;
 use super::neighbours::Neighbours;
 use super::particles::{
-    Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    ParticleId, Particles, Position, PositionAdjoint, PositionSensitivity, SensitivityBlock,
-    SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, Accelerations, AdjointCloud,
+    BlockOf, Densities, PairInputs, ParticleId, Particles, Position, PositionAdjoint,
+    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocityAdjoint,
+    VelocitySensitivity,
 };
 use super::tape::{Tape, record_evaluation};
 use super::term::{Stage, Systems, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
-use crate::cells::MIN_PARALLEL_LEN;
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
 use crate::packed::{PackedAdjoint, PackedSensitivity};
 use crate::pairs::CHUNK;
 use crate::scalar::{SimdFloat, SimdTask, dispatch};
@@ -75,7 +77,7 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
     rows: Query<(&ParticleId, &Position<D>, &Velocity<D>, &Acceleration<D>)>,
     (particles, integrator): (Res<Particles>, Res<Integrator>),
     neighbours: Res<Neighbours<D>>,
-    mut cloud: ResMut<Cloud<D>>,
+    mut inputs: ResMut<PairInputs>,
 ) {
     let half_step = if PREDICTED { 0.5 * integrator.dt } else { 0.0 };
     let columns = || rows.contiguous_iter().into_iter().flatten();
@@ -83,8 +85,9 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
     let positions = particles.gather(columns().map(|(id, r, ..)| (id, r)), Position(zero));
     let velocities = particles.gather(columns().map(|(id, _, v, _)| (id, v)), Velocity(zero));
     let accelerations = particles.gather(columns().map(|(id, .., a)| (id, a)), Acceleration(zero));
-    let rows = &neighbours.cells.row_of_slot;
-    let lines = cloud.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(MIN_PARALLEL_LEN);
+    let rows = neighbours.order().rows();
+    inputs.resize(rows.len());
+    let lines = inputs.packed[..rows.len()].par_iter_mut().zip(rows).with_min_len(MIN_PARALLEL_LEN);
     lines.for_each(|(line, &row)| {
         let v = velocities[row as usize].0;
         let seen = if PREDICTED { v + accelerations[row as usize].0 * half_step } else { v };
@@ -93,7 +96,7 @@ pub fn pack_velocities<const PREDICTED: bool, const MOVED: bool, const D: usize>
             line.position = positions[row as usize].0.to_3d();
         }
     });
-    cloud.round(neighbours.embedded);
+    inputs.round(neighbours.embedded);
 }
 
 /// All rows of a column of sensitivity blocks, in the order in which the blocks were spawned. Only
@@ -123,7 +126,7 @@ pub fn pack_sensitivities<const PREDICTED: bool, const MOVED: bool, const D: usi
     let positions = whole_column(columns().map(|(_, r, ..)| r));
     let velocities = whole_column(columns().map(|(_, _, v, _)| v));
     let accelerations = whole_column(columns().map(|(.., a)| a));
-    let rows = &neighbours.cells.row_of_slot[..];
+    let rows = neighbours.order().rows();
     let half = 0.5 * integrator.dt;
     sensitivities.blocks.par_iter_mut().enumerate().for_each(|(block, cloud)| {
         // Blocks are stored in the order in which they were spawned.
@@ -183,10 +186,10 @@ impl<const D: usize> SimdTask for Pack<'_, D> {
 /// System: writes `δF` back to the blocks.
 pub fn write_acceleration_tangent<const D: usize>(
     mut rows: Query<(&BlockOf, &mut AccelerationSensitivity<D>)>,
-    cloud: Res<Cloud<D>>,
+    neighbours: Res<Neighbours<D>>,
     sensitivities: Res<SensitivityCloud<D>>,
 ) {
-    let (slots, blocks) = (&cloud.slot_of_row[..], &sensitivities.blocks[..]);
+    let (slots, blocks) = (neighbours.order().slots(), &sensitivities.blocks[..]);
     for (of, mut a) in rows.contiguous_iter_mut().into_iter().flatten() {
         let chunks = a.par_chunks_mut(CHUNK).zip(of.par_chunks(CHUNK));
         chunks.for_each(|(a, of)| dispatch(Write { of, slots, blocks, a }));
@@ -218,35 +221,38 @@ impl<const D: usize> SimdTask for Write<'_, D> {
 
 /// System: writes the accelerations back to the particles.
 pub fn write_acceleration<const D: usize>(
-    mut accelerations: Query<(&ParticleId, &mut Acceleration<D>)>,
-    cloud: Res<Cloud<D>>,
+    mut rows: Query<(&ParticleId, &mut Acceleration<D>)>,
+    neighbours: Res<Neighbours<D>>,
+    accelerations: Res<Accelerations<D>>,
 ) {
-    let slots = &cloud.slot_of_row[..];
-    for (ids, mut column) in accelerations.contiguous_iter_mut().into_iter().flatten() {
+    let order = neighbours.order();
+    for (ids, mut column) in rows.contiguous_iter_mut().into_iter().flatten() {
         let rows = column.par_iter_mut().zip(ids).with_min_len(MIN_PARALLEL_LEN);
         rows.for_each(|(acceleration, id)| {
-            if let Some(&slot) = slots.get(id.0 as usize) {
-                acceleration.0 = cloud.acceleration[slot as usize];
+            if let Some(slot) = order.slot(id.0 as usize) {
+                acceleration.0 = accelerations.0[slot];
             }
         });
     }
 }
 
-/// System: restores the cloud of the last evaluation on the tape, and packs `∂L/∂F` for it.
+/// System: restores the pairs of the last evaluation on the tape, and packs `∂L/∂F` for it.
 pub fn rewind_evaluation<const D: usize>(
     mut tape: ResMut<Tape<D>>,
-    (mut neighbours, mut cloud): (ResMut<Neighbours<D>>, ResMut<Cloud<D>>),
+    mut neighbours: ResMut<Neighbours<D>>,
+    (mut inputs, mut densities): (ResMut<PairInputs>, ResMut<Densities>),
     (mut clock, mut adjoint): (ResMut<Clock>, ResMut<AdjointCloud<D>>),
     mut rows: Query<(&ParticleId, &mut AccelerationAdjoint<D>)>,
 ) {
-    let Some(step) = tape.rewind(&mut cloud, &mut neighbours) else { return };
+    let restored = tape.rewind((&mut inputs, &mut densities), &mut neighbours);
+    let Some(step) = restored else { return };
     clock.evaluated = step;
     // The forces that begin a step use the pairs of the evaluation that ended the step before.
     if adjoint.sifted != Some(step) {
-        adjoint.sift(cloud.pairs(&neighbours));
+        adjoint.sift(Pairs::new(inputs.lines(), &neighbours, &densities.masks));
         adjoint.sifted = Some(step);
     }
-    let count = cloud.len();
+    let (count, order) = (inputs.len(), neighbours.order());
     adjoint.packed.clear();
     adjoint.packed.resize(count + 1, PackedAdjoint::ZERO);
     let AdjointCloud { position, velocity, .. } = &mut *adjoint;
@@ -256,8 +262,8 @@ pub fn rewind_evaluation<const D: usize>(
     }
     for (ids, column) in rows.contiguous_iter_mut().into_iter().flatten() {
         for (a, id) in column.into_iter().zip(ids) {
-            if let Some(&slot) = cloud.slot_of_row.get(id.0 as usize) {
-                adjoint.packed[slot as usize].force = a.0.to_3d();
+            if let Some(slot) = order.slot(id.0 as usize) {
+                adjoint.packed[slot].force = a.0.to_3d();
             }
             a.0 = Vector::zero();
         }
@@ -265,7 +271,7 @@ pub fn rewind_evaluation<const D: usize>(
     let AdjointCloud { scalars, carried, .. } = &mut *adjoint;
     scalars.clear();
     scalars.resize(count, (0.0, 0.0));
-    for (&share, &slot) in carried.iter().zip(&cloud.slot_of_row) {
+    for (&share, &slot) in carried.iter().zip(order.slots()) {
         scalars[slot as usize] = share;
     }
     carried.clear();
@@ -281,7 +287,7 @@ pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
         &mut VelocityAdjoint<D>,
         &mut AccelerationAdjoint<D>,
     )>,
-    (cloud, adjoint): (Res<Cloud<D>>, Res<AdjointCloud<D>>),
+    (neighbours, adjoint): (Res<Neighbours<D>>, Res<AdjointCloud<D>>),
     integrator: Res<Integrator>,
 ) {
     for (ids, positions, velocities, accelerations) in
@@ -289,9 +295,9 @@ pub fn unpack_adjoint<const PREDICTED: bool, const D: usize>(
     {
         let columns = positions.into_iter().zip(velocities).zip(accelerations);
         for (((r, v), a), id) in columns.zip(ids) {
-            let Some(&slot) = cloud.slot_of_row.get(id.0 as usize) else { continue };
-            let through = adjoint.velocity[slot as usize];
-            r.0 += adjoint.position[slot as usize];
+            let Some(slot) = neighbours.order().slot(id.0 as usize) else { continue };
+            let through = adjoint.velocity[slot];
+            r.0 += adjoint.position[slot];
             v.0 += through;
             if PREDICTED {
                 a.0 += through * (0.5 * integrator.dt);

@@ -1,7 +1,9 @@
 //! A force on each particle written as one function, and differentiated by dual numbers.
 
 use super::acceleration::Laws;
-use super::particles::{AdjointCloud, Cloud, SensitivityBlock, SensitivityCloud};
+use super::particles::{
+    Accelerations, AdjointCloud, PairInputs, SensitivityBlock, SensitivityCloud,
+};
 use super::term::{Contribution, ContributionKind, Stage, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
@@ -167,7 +169,7 @@ impl<F: ParticleForce, const D: usize> Term<D> for ForceOnParticles<F> {
         let all = world.get_resource::<ActiveForces<F>>();
         let Some(own) = all.and_then(|all| all.0.get(self.number)) else { return Vec::new() };
         let when = When::of(world.resource::<Clock>(), world.resource::<Integrator>());
-        let particles = world.resource::<Cloud<D>>().particles().iter();
+        let particles = world.resource::<PairInputs>().particles().iter();
         let forces: Vec<_> = particles.map(|p| own.acceleration(&when.state(p))).collect();
         let mass = world.resource::<Laws<D>>().model().mass();
         vec![Contribution::of(&*self.name, ContributionKind::Forcing, mass, &forces)]
@@ -233,13 +235,13 @@ impl<F: ParticleForce> ActiveForce<F> {
 fn push<F: ParticleForce, const D: usize>(
     forces: Res<ActiveForces<F>>,
     (clock, integrator): (Res<Clock>, Res<Integrator>),
-    mut cloud: ResMut<Cloud<D>>,
+    inputs: Res<PairInputs>,
+    mut accelerations: ResMut<Accelerations<D>>,
 ) {
     let when = When::of(&clock, &integrator);
-    let Cloud { packed, acceleration, .. } = &mut *cloud;
     for active in &forces.0 {
-        let rows = acceleration.par_iter_mut().zip(&*packed).with_min_len(CHUNK);
-        rows.for_each(|(a, p)| *a += active.acceleration(&when.state(p)));
+        let rows = accelerations.0.par_iter_mut().zip(inputs.particles());
+        rows.with_min_len(CHUNK).for_each(|(a, p)| *a += active.acceleration(&when.state(p)));
     }
 }
 
@@ -247,12 +249,12 @@ fn push<F: ParticleForce, const D: usize>(
 fn push_tangent<F: ParticleForce, const D: usize>(
     forces: Res<ActiveForces<F>>,
     (clock, integrator): (Res<Clock>, Res<Integrator>),
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let when = When::of(&clock, &integrator);
     for active in &forces.0 {
-        sensitivities.blocks.iter_mut().for_each(|block| active.add_tangent(when, &cloud, block));
+        sensitivities.blocks.iter_mut().for_each(|block| active.add_tangent(when, &inputs, block));
     }
 }
 
@@ -261,13 +263,13 @@ impl<F: ParticleForce> ActiveForce<F> {
     fn add_tangent<const D: usize>(
         &self,
         when: When,
-        cloud: &Cloud<D>,
+        inputs: &PairInputs,
         block: &mut SensitivityBlock<D>,
     ) {
         let directions: Vec<F64x8> =
             self.places.iter().map(|&place| block.direction(place)).collect();
         let SensitivityBlock { packed, acceleration, .. } = block;
-        let rows = acceleration.par_iter_mut().zip(&*packed).zip(cloud.particles());
+        let rows = acceleration.par_iter_mut().zip(&*packed).zip(inputs.particles());
         rows.with_min_len(CHUNK).for_each(|((a, change), p)| {
             self.differentiate::<D>((when, p), |input, by| {
                 let change = match input {
@@ -285,24 +287,24 @@ impl<F: ParticleForce> ActiveForce<F> {
 fn push_pullback<F: ParticleForce, const D: usize>(
     forces: Res<ActiveForces<F>>,
     (clock, integrator): (Res<Clock>, Res<Integrator>),
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let when = When::of(&clock, &integrator);
-    forces.0.iter().for_each(|active| active.pull_back(when, &cloud, &mut adjoint));
+    forces.0.iter().for_each(|active| active.pull_back(when, &inputs, &mut adjoint));
 }
 
 impl<F: ParticleForce> ActiveForce<F> {
     fn pull_back<const D: usize>(
         &self,
         when: When,
-        cloud: &Cloud<D>,
+        inputs: &PairInputs,
         adjoint: &mut AdjointCloud<D>,
     ) {
         adjoint.sum_parameters(&self.places, |adjoint, sums, width| {
             let AdjointCloud { packed, position, velocity, .. } = adjoint;
             let states = position.par_chunks_mut(CHUNK).zip(velocity.par_chunks_mut(CHUNK));
-            let rows = packed.par_chunks(CHUNK).zip(cloud.particles().par_chunks(CHUNK));
+            let rows = packed.par_chunks(CHUNK).zip(inputs.particles().par_chunks(CHUNK));
             let chunks = states.zip(rows).zip(sums.par_chunks_mut(width));
             chunks.for_each(|(((r, v), (lines, particles)), sums)| {
                 sums.fill(0.0);

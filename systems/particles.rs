@@ -1,22 +1,47 @@
 //! The components of a particle, and the packed arrays of all particles that pair loops run over.
+//!
+//! Position, velocity and acceleration are glam's `DVec2` or `DVec3` in place: they have its fields,
+//! methods and operators.
+//!
+//! ```
+//! use bevy_ecs::prelude::*;
+//! use glam::DVec3;
+//! use whirls::systems::Phase;
+//! use whirls::systems::particles::{Position, Velocity};
+//!
+//! fn swirl(mut particles: Query<(&Position<3>, &mut Velocity<3>)>) {
+//!     for (position, mut velocity) in &mut particles {
+//!         **velocity += 1e-3 * DVec3::Z.cross(**position);
+//!         velocity.z *= 0.99;
+//!     }
+//! }
+//!
+//! let scene = whirls::Scene::shipped("inverse-3d")?;
+//! let mut flow = whirls::Flow::<3>::new(&scene)?;
+//! flow.schedule_mut().add_systems(swirl.after(Phase::SecondKick).before(Phase::Loss));
+//! flow.step()?;
+//! # Ok::<(), whirls::Error>(())
+//! ```
 
 use super::acceleration::TransposedLists;
 use super::density_tangent::DensityJacobian;
 use super::near::Pairs;
 use super::neighbours::Neighbours;
-use crate::cells::MIN_PARALLEL_LEN;
 use crate::models::{ForceJacobian, Model, PairShare, Scratch};
-use crate::near::Near;
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
+use crate::neighbours::near::Near;
 use crate::packed::{Packed, PackedAdjoint, PackedSensitivity, PackedSingle};
 use crate::pairs::{CHUNK, Lines};
+use crate::pool::Pool;
 use crate::scalar::{F64x8, Precision};
 use crate::sensitivity::Coupling;
 use crate::space::Space;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::borrow::Cow;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::ops::{Deref, DerefMut};
 
 /// Number of the particle in its flow, `0..N`. Recordings, truths and packed arrays identify
 /// particles by it.
@@ -39,6 +64,40 @@ pub struct Velocity<const D: usize>(pub Vector<f64, D>);
 /// step, so that it belongs to the state.
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct Acceleration<const D: usize>(pub Vector<f64, D>);
+
+/// A component as glam's vector of its dimension, in place.
+macro_rules! as_glam {
+    ($($component:ident),*) => { $(
+        as_glam!($component<2>, DVec2);
+        as_glam!($component<3>, DVec3);
+    )* };
+    ($component:ident<$dimension:literal>, $vector:ident) => {
+        impl Deref for $component<$dimension> {
+            type Target = $vector;
+
+            #[inline]
+            fn deref(&self) -> &$vector {
+                bytemuck::cast_ref(&self.0.0)
+            }
+        }
+
+        impl DerefMut for $component<$dimension> {
+            #[inline]
+            fn deref_mut(&mut self) -> &mut $vector {
+                bytemuck::cast_mut(&mut self.0.0)
+            }
+        }
+
+        impl From<$vector> for $component<$dimension> {
+            #[inline]
+            fn from(vector: $vector) -> Self {
+                Self(vector.into())
+            }
+        }
+    };
+}
+
+as_glam!(Position, Velocity, Acceleration);
 
 /// Density `ρ` at the particle's position.
 #[derive(Component, Clone, Copy, Debug, Default)]
@@ -189,54 +248,43 @@ impl<const D: usize> AdjointCloud<D> {
     }
 }
 
-/// All particles in cell order, as contiguous arrays: what the pair loops run over.
+/// What the pair loops read: all particles in cell order, as contiguous arrays.
 ///
-/// A *slot* is an index in cell order, a *row* an index in the World's columns.
+/// A *slot* is an index in cell order, a *row* an index in the World's columns;
+/// [`crate::neighbours::order::Order`] leads from one to the other.
 #[derive(Resource, Debug, Default)]
-pub struct Cloud<const D: usize> {
+pub struct PairInputs {
     /// One line per slot, and [`Packed::SENTINEL`] at the end.
     pub packed: Vec<Packed>,
     /// The same in `f32`; used in mixed precision.
     pub singles: Vec<PackedSingle>,
     /// The precision in which pairs are evaluated.
     pub precision: Precision,
-    /// `F` per slot.
-    pub acceleration: Vec<Vector<f64, D>>,
-    /// Density per slot, before it is copied into the lines.
-    pub density: Vec<f64>,
-    /// The slot of each row.
-    pub slot_of_row: Vec<u32>,
-    /// Which listed neighbours have a nonzero weight in the density, chunk by chunk: one mask for
-    /// each eight in the lists.
-    pub masks: Vec<Vec<u8>>,
 }
 
-impl<const D: usize> Cloud<D> {
+impl PairInputs {
     /// Number of particles.
     pub fn len(&self) -> usize {
-        self.slot_of_row.len()
+        self.packed.len().saturating_sub(1)
     }
 
     /// Whether there is no particle.
     pub fn is_empty(&self) -> bool {
-        self.slot_of_row.is_empty()
+        self.len() == 0
     }
 
     /// Makes room for `count` particles.
-    pub fn resize(&mut self, count: usize) {
+    pub(super) fn resize(&mut self, count: usize) {
         if self.packed.len() != count + 1 {
             self.packed.clear();
             self.packed.resize(count + 1, Packed::SENTINEL);
         }
-        self.acceleration.resize(count, Vector::zero());
-        self.density.resize(count, 0.0);
-        self.slot_of_row.resize(count, 0);
     }
 
     /// Rounds the lines to `f32` in mixed precision; does nothing in double precision.
-    pub fn round(&mut self, space: Space) {
+    pub(super) fn round(&mut self, space: Space) {
         if self.precision == Precision::Mixed {
-            let particles = &self.packed[..self.slot_of_row.len()];
+            let particles = &self.packed[..self.packed.len().saturating_sub(1)];
             self.singles.resize(particles.len() + 1, PackedSingle::SENTINEL);
             self.singles[particles.len()] = PackedSingle::SENTINEL;
             let lines = self.singles.par_iter_mut().zip(particles).with_min_len(MIN_PARALLEL_LEN);
@@ -249,15 +297,62 @@ impl<const D: usize> Cloud<D> {
         Lines { double: &self.packed, single: &self.singles, precision: self.precision }
     }
 
-    /// All pairs of the last density summation.
-    pub fn pairs<'a>(&'a self, neighbours: &'a Neighbours<D>) -> Pairs<'a> {
-        Pairs::new(self.lines(), neighbours, &self.masks)
-    }
-
     /// The particles, without the sentinel at the end.
     pub fn particles(&self) -> &[Packed] {
         &self.packed[..self.len()]
     }
+}
+
+/// What the summation of densities writes, in cell order.
+#[derive(Resource, Debug, Default)]
+pub struct Densities {
+    /// `ρ` per slot.
+    pub by_slot: Vec<f64>,
+    /// Which listed neighbours have a nonzero weight in the density, chunk by chunk: one mask for
+    /// each eight in the lists.
+    pub masks: Vec<Vec<u8>>,
+}
+
+/// What the forces write: `F` per slot, the sum over all forces.
+#[derive(Resource, Debug, Default)]
+pub struct Accelerations<const D: usize>(pub Vec<Vector<f64, D>>);
+
+/// All pairs of the last summation of densities, as an argument of a system.
+#[derive(bevy_ecs::system::SystemParam)]
+pub struct EvaluatedPairs<'w, const D: usize> {
+    /// The lists.
+    pub neighbours: Res<'w, Neighbours<D>>,
+    /// The particles.
+    pub inputs: Res<'w, PairInputs>,
+    /// Which of the listed pairs are within the support.
+    pub densities: Res<'w, Densities>,
+}
+
+impl<const D: usize> EvaluatedPairs<'_, D> {
+    /// The pairs.
+    pub fn pairs(&self) -> Pairs<'_> {
+        Pairs::new(self.inputs.lines(), &self.neighbours, &self.densities.masks)
+    }
+
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        self.inputs.len()
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.inputs.is_empty()
+    }
+}
+
+/// All pairs of a World's last summation of densities.
+pub(super) fn pairs_of<const D: usize>(world: &World) -> Pairs<'_> {
+    let neighbours = world.resource::<Neighbours<D>>();
+    Pairs::new(
+        world.resource::<PairInputs>().lines(),
+        neighbours,
+        &world.resource::<Densities>().masks,
+    )
 }
 
 /// One block of sensitivities of all particles, in cell order.
@@ -299,48 +394,6 @@ pub struct SensitivityCloud<const D: usize> {
     pub pulls: Vec<DensityJacobian<D>>,
     /// The linearised pairs of the chunks of one window.
     pub slopes: Vec<ForceJacobian>,
-}
-
-/// A pool of scratch buffers: one for each thread, from the first use on.
-#[derive(Debug)]
-pub(super) struct Pool<T>(Mutex<Vec<T>>);
-
-impl<T> Default for Pool<T> {
-    fn default() -> Self {
-        Self(Mutex::default())
-    }
-}
-
-impl<T> Pool<T> {
-    /// Lends a scratch buffer. The first call creates one per thread, so that later steps do not
-    /// allocate.
-    pub(super) fn lend<R>(&self, make: impl Fn() -> T, work: impl FnOnce(&mut T) -> R) -> R {
-        let taken = self.for_all_threads(&make).pop();
-        let mut lent = taken.unwrap_or_else(make);
-        let result = work(&mut lent);
-        self.lock().push(lent);
-        result
-    }
-
-    /// The buffers that are not lent, after creating one for each thread at the first call.
-    fn for_all_threads(&self, make: impl Fn() -> T) -> MutexGuard<'_, Vec<T>> {
-        let mut free = self.lock();
-        if free.capacity() == 0 {
-            free.extend((0..rayon::current_num_threads()).map(|_| make()));
-        }
-        free
-    }
-
-    /// The buffers that are not lent.
-    pub(super) fn rest(&mut self) -> &mut [T] {
-        self.0.get_mut().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The buffers that are not lent. A poisoned lock only means that another thread's work
-    /// panicked; a buffer holds no state.
-    fn lock(&self) -> MutexGuard<'_, Vec<T>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 /// The scratch buffers in which threads evaluate a model.

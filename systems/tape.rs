@@ -2,7 +2,10 @@
 //! reverse order.
 
 use super::neighbours::{Chunk, Neighbours};
-use super::particles::{AdjointCloud, Cloud, ParticleId, PositionAdjoint, VelocityAdjoint};
+use super::particles::{
+    AdjointCloud, Densities, EvaluatedPairs, PairInputs, ParticleId, PositionAdjoint,
+    VelocityAdjoint,
+};
 use super::verlet::Clock;
 use crate::losses::StateAdjoint;
 use crate::packed::Packed;
@@ -19,7 +22,7 @@ pub struct Evaluation {
     chunks: Arc<Vec<Chunk>>,
     /// The box of these lists.
     embedded: Option<Space>,
-    /// Masks of the neighbours within the support; see [`Cloud::masks`].
+    /// Masks of the neighbours within the support; see [`Densities::masks`].
     masks: Vec<Vec<u8>>,
     /// The step of these positions.
     step: u64,
@@ -114,33 +117,33 @@ impl<const D: usize> Tape<D> {
     }
 
     /// Records a force evaluation.
-    fn push(&mut self, cloud: &Cloud<D>, neighbours: &Neighbours<D>, step: u64) {
+    fn push(&mut self, evaluated: &EvaluatedPairs<'_, D>, step: u64) {
+        let EvaluatedPairs { neighbours, inputs, densities } = evaluated;
         let mut evaluation = self.spare.0.pop().unwrap_or_default();
-        evaluation.packed.clone_from(&cloud.packed);
-        evaluation.slot_of_row.clone_from(&cloud.slot_of_row);
-        evaluation.masks.clone_from(&cloud.masks);
+        evaluation.packed.clone_from(&inputs.packed);
+        evaluation.slot_of_row.clear();
+        evaluation.slot_of_row.extend_from_slice(neighbours.order().slots());
+        evaluation.masks.clone_from(&densities.masks);
         (evaluation.chunks, evaluation.step) = (Arc::clone(&neighbours.chunks), step);
         evaluation.embedded = Some(neighbours.embedded);
         self.evaluations.push(evaluation);
     }
 
-    /// Restores the cloud of the last evaluation, and returns the step that its positions belong
+    /// Restores the pairs of the last evaluation, and returns the step that its positions belong
     /// to.
     pub(super) fn rewind(
         &mut self,
-        cloud: &mut Cloud<D>,
+        (inputs, densities): (&mut PairInputs, &mut Densities),
         neighbours: &mut Neighbours<D>,
     ) -> Option<u64> {
         let mut evaluation = self.evaluations.pop()?;
         let step = evaluation.step;
-        std::mem::swap(&mut cloud.packed, &mut evaluation.packed);
-        std::mem::swap(&mut cloud.slot_of_row, &mut evaluation.slot_of_row);
-        std::mem::swap(&mut cloud.masks, &mut evaluation.masks);
-        neighbours.chunks = std::mem::take(&mut evaluation.chunks);
-        // The lists are older than the cells: the next forward step rebuilds both.
-        neighbours.invalidate();
-        neighbours.embedded = evaluation.embedded.unwrap_or(neighbours.space);
-        cloud.round(neighbours.embedded);
+        std::mem::swap(&mut inputs.packed, &mut evaluation.packed);
+        std::mem::swap(&mut densities.masks, &mut evaluation.masks);
+        let embedded = evaluation.embedded.unwrap_or(neighbours.space);
+        let chunks = std::mem::take(&mut evaluation.chunks);
+        neighbours.rewind(chunks, &mut evaluation.slot_of_row, embedded);
+        inputs.round(embedded);
         self.discard(evaluation);
         Some(step)
     }
@@ -191,15 +194,15 @@ impl<const D: usize> Tape<D> {
 
 /// System: records the force evaluation just made.
 pub fn record_evaluation<const D: usize>(
-    neighbours: Res<Neighbours<D>>,
-    (clock, cloud): (Res<Clock>, Res<Cloud<D>>),
+    evaluated: EvaluatedPairs<'_, D>,
+    clock: Res<Clock>,
     mut adjoint: ResMut<AdjointCloud<D>>,
     mut tape: ResMut<Tape<D>>,
 ) {
     // The neighbours found while running backwards are not those of this evaluation.
     adjoint.sifted = None;
     if tape.running {
-        tape.push(&cloud, &neighbours, clock.evaluated);
+        tape.push(&evaluated, clock.evaluated);
     }
 }
 

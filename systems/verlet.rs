@@ -8,7 +8,7 @@ use super::particles::{
 };
 use super::term::{Stage, Term};
 use super::{Needs, Occasion, Phase};
-use crate::cells::MIN_PARALLEL_LEN;
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
 use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
 use crate::space::Space;
 use crate::vector::Vector;
@@ -123,6 +123,7 @@ impl<const D: usize> Term<D> for KickAndDrift {
 }
 
 /// System: half a kick, `v += dt/2 F`.
+#[doc(hidden)]
 pub fn kick<const D: usize>(
     mut particles: Query<(&mut Velocity<D>, &Acceleration<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
@@ -135,6 +136,7 @@ pub fn kick<const D: usize>(
 }
 
 /// System: the drift, `r += dt v`, wrapped into the box.
+#[doc(hidden)]
 pub fn drift<const D: usize>(
     mut particles: Query<(&mut Position<D>, &Velocity<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
@@ -148,12 +150,14 @@ pub fn drift<const D: usize>(
 }
 
 /// System: the step is complete.
+#[doc(hidden)]
 pub fn tick(mut clock: ResMut<Clock>) {
     clock.step += 1;
     clock.evaluated = clock.step;
 }
 
 /// System: the tangent of [`kick`].
+#[doc(hidden)]
 pub fn kick_tangent<const D: usize>(
     mut blocks: Query<(&mut VelocitySensitivity<D>, &AccelerationSensitivity<D>)>,
     integrator: Res<Integrator>,
@@ -166,6 +170,7 @@ pub fn kick_tangent<const D: usize>(
 }
 
 /// System: the tangent of [`drift`].
+#[doc(hidden)]
 pub fn drift_tangent<const D: usize>(
     mut blocks: Query<(&mut PositionSensitivity<D>, &VelocitySensitivity<D>)>,
     integrator: Res<Integrator>,
@@ -197,6 +202,7 @@ impl<const D: usize> SimdTask for Add<'_, D> {
 }
 
 /// System: the pullback of [`kick`]: `∂L/∂F += dt/2 ∂L/∂v`.
+#[doc(hidden)]
 pub fn kick_pullback<const D: usize>(
     mut particles: Query<(&mut AccelerationAdjoint<D>, &VelocityAdjoint<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
@@ -210,6 +216,7 @@ pub fn kick_pullback<const D: usize>(
 }
 
 /// System: the pullback of [`drift`]: `∂L/∂v += dt ∂L/∂r`.
+#[doc(hidden)]
 pub fn drift_pullback<const D: usize>(
     mut particles: Query<(&mut VelocityAdjoint<D>, &PositionAdjoint<D>), With<ParticleId>>,
     integrator: Res<Integrator>,
@@ -222,6 +229,7 @@ pub fn drift_pullback<const D: usize>(
 }
 
 /// System: the pullback of [`tick`].
+#[doc(hidden)]
 pub fn tick_pullback(mut clock: ResMut<Clock>) {
     clock.step = clock.step.saturating_sub(1);
 }

@@ -3,12 +3,13 @@
 
 use super::acceleration::Laws;
 use super::neighbours::Neighbours;
-use super::particles::{Acceleration, Cloud, Density, ParticleId, Position, Velocity};
+use super::particles::{Acceleration, Density, PairInputs, ParticleId, Position, Velocity};
 use super::term::{Stage, Term};
 use super::verlet::{Clock, Integrator};
 use super::{Needs, Occasion, Phase};
-use crate::cells::MIN_PARALLEL_LEN;
 use crate::error::Error;
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
+use crate::reduce::{Partial, in_any_order};
 use bevy_ecs::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -40,9 +41,13 @@ const USUAL: [f64; 2] = [1.0186, 0.853];
 
 /// The message about particles with too few neighbours: their mean number, the kernel's reach, and
 /// a smoothing length that is long enough.
-pub fn loneliness<const D: usize>(neighbours: &Neighbours<D>, cloud: &Cloud<D>) -> Option<String> {
-    let count = cloud.len();
-    let mean = neighbours.pairs(cloud) as f64 / count.max(1) as f64;
+#[doc(hidden)]
+pub fn loneliness<const D: usize>(
+    neighbours: &Neighbours<D>,
+    inputs: &PairInputs,
+) -> Option<String> {
+    let count = inputs.len();
+    let mean = neighbours.pairs(inputs.particles()) as f64 / count.max(1) as f64;
     (count > 1 && mean < LONELY).then(|| {
         let spacing = neighbours.space.spacing::<D>(count);
         format!(
@@ -78,10 +83,11 @@ type Watched<'a, const D: usize> =
     (&'a ParticleId, &'a Position<D>, &'a Velocity<D>, &'a Acceleration<D>, &'a Density);
 
 /// System: checks every particle after every step.
+#[doc(hidden)]
 pub fn watch<const D: usize>(
     particles: Query<Watched<'_, D>>,
     (limits, integrator, clock, laws): (Res<Limits>, Res<Integrator>, Res<Clock>, Res<Laws<D>>),
-    (neighbours, cloud): (Option<Res<Neighbours<D>>>, Option<Res<Cloud<D>>>),
+    (neighbours, inputs): (Option<Res<Neighbours<D>>>, Option<Res<PairInputs>>),
     mut failure: ResMut<Failure>,
 ) {
     if failure.0.is_some() {
@@ -93,7 +99,7 @@ pub fn watch<const D: usize>(
         let see = |look: Look, (((r, v), a), rho): (((&Position<D>, &Velocity<D>), &_), &_)| {
             look.see(r, v, a, rho)
         };
-        look = look.and(&rows.fold(Look::default, see).reduce(Look::default, |a, b| a.and(&b)));
+        look.merge(in_any_order(Look::default, rows.fold(Look::default, see)));
     }
     let per_speed = integrator.dt / laws.model().smoothing().h;
     let fastest = look.fastest(|rho| laws.model().sound_speed(rho)) * per_speed;
@@ -114,8 +120,8 @@ pub fn watch<const D: usize>(
     }
     let is_start = clock.step == 0;
     failure.0 = closer.verdict(*limits, (per_speed, is_start)).map(|(quantity, found, remedy)| {
-        let lonely = neighbours.as_ref().zip(cloud.as_ref());
-        let lonely = lonely.and_then(|(neighbours, cloud)| loneliness(neighbours, cloud));
+        let lonely = neighbours.as_ref().zip(inputs.as_ref());
+        let lonely = lonely.and_then(|(neighbours, inputs)| loneliness(neighbours, inputs));
         let remedy = lonely.filter(|_| closer.not_finite.is_none()).unwrap_or(remedy);
         let time = clock.time_at(clock.step, integrator.dt);
         Error::Diverged { step: clock.step, time, quantity, found, remedy }
@@ -158,14 +164,6 @@ impl Look {
         }
     }
 
-    fn and(&self, other: &Self) -> Self {
-        Self {
-            finite: self.finite & other.finite,
-            square: self.square.max(other.square),
-            density: (self.density.0.min(other.density.0), self.density.1.max(other.density.1)),
-        }
-    }
-
     /// An upper bound of the largest signal speed: the largest speed plus the largest speed of
     /// sound.
     fn fastest(&self, sound_speed: impl Fn(f64) -> f64) -> f64 {
@@ -174,6 +172,15 @@ impl Look {
             return 0.0;
         }
         sound_speed(low).max(sound_speed(high)) + self.square.sqrt()
+    }
+}
+
+impl Partial for Look {
+    fn merge(&mut self, next: Self) {
+        self.finite &= next.finite;
+        self.square = self.square.max(next.square);
+        self.density.0 = self.density.0.min(next.density.0);
+        self.density.1 = self.density.1.max(next.density.1);
     }
 }
 

@@ -12,7 +12,7 @@ use whirls::scalar::Precision;
 use whirls::scene::{Optimiser, Scene, Weights};
 use whirls::sensitivity::{AdjointGradient, Coupling, Gradient, Storage, adjoint_gradient};
 use whirls::systems::neighbours::Neighbours;
-use whirls::systems::particles::{AdjointCloud, Cloud};
+use whirls::systems::particles::{AdjointCloud, PairInputs};
 use whirls::systems::verlet::Step;
 use whirls::truth::Truth;
 
@@ -133,7 +133,7 @@ fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
         let (start, observations) = (&truth.states[0], truth.observations(&scene, &learn).unwrap());
         let mut flow = Flow::<3>::with_adjoint(&scene, start, observations).unwrap();
         adjoint_gradient(&mut flow, start, learn.frames as u64, Storage::All).unwrap();
-        let cloud = flow.world().resource::<Cloud<3>>();
+        let cloud = flow.world().resource::<PairInputs>();
         let neighbours = flow.world().resource::<Neighbours<3>>();
         let adjoint = flow.world().resource::<AdjointCloud<3>>();
         let met = adjoint.near.iter().zip(&neighbours.chunks[..]).map(|(near, all)| {
@@ -147,7 +147,7 @@ fn the_way_back_meets_everybody_within_the_support_and_nobody_else() {
             (0..near.len()).map(within).sum::<u64>()
         });
         let (met, listed) = (met.sum::<u64>(), neighbours.chunks.iter().map(|all| all.batches()));
-        assert_eq!(met, neighbours.pairs(cloud), "{}", precision.name());
+        assert_eq!(met, neighbours.pairs(cloud.particles()), "{}", precision.name());
         assert!(met * 5 < 4 * 8 * listed.sum::<usize>() as u64);
     }
 }

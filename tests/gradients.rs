@@ -342,7 +342,7 @@ fn a_square_sum_over_two_blocks_is_that_of_all_its_columns() {
         }
     }
     let [mut sum, other] = sums;
-    sum.merge(&other);
+    sum.add_sum(&other);
     let near = |a: &[f64], b: &[f64]| {
         // 23 terms of order one.
         a.len() == b.len() && a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-13)

@@ -11,7 +11,6 @@ use proptest::prelude::*;
 use whirls::flow::State;
 use whirls::space::Space;
 use whirls::systems::neighbours::{Neighbours, brute_force};
-use whirls::systems::particles::Cloud;
 use whirls::vector::Vector;
 use whirls::{Flow, Scene};
 
@@ -42,18 +41,7 @@ fn scene<const D: usize>(length: f64, support: f64, skin: f64) -> Scene {
 
 /// The pairs in the lists of a started flow, as rows, in ascending order.
 fn listed<const D: usize>(flow: &Flow<D>) -> Vec<(usize, usize)> {
-    let neighbours = flow.world().resource::<Neighbours<D>>();
-    let count = flow.world().resource::<Cloud<D>>().len();
-    let row = |slot: usize| neighbours.cells.row_of_slot[slot] as usize;
-    let mut pairs = Vec::new();
-    for chunk in neighbours.chunks.iter() {
-        for k in 0..chunk.len() {
-            let present = chunk.slots_of(k).filter(|&slot| slot < count);
-            pairs.extend(present.map(|slot| (row(chunk.first + k), row(slot))));
-        }
-    }
-    pairs.sort_unstable();
-    pairs
+    flow.world().resource::<Neighbours<D>>().listed()
 }
 
 /// Asserts that the lists hold exactly the pairs in reach, and all pairs within the support.
@@ -285,7 +273,7 @@ fn lists_of_more_particles_than_two_bytes_count_lose_nobody<const D: usize>() {
     let kept = |near: bool| neighbours.chunks.iter().filter(|c| c.is_short() == near).count();
     assert!(kept(true) > 2 * kept(false), "{} of {}", kept(true), neighbours.chunks.len());
     assert!(kept(false) > 0);
-    let row = |slot: usize| neighbours.cells.row_of_slot[slot] as usize;
+    let row = |slot: usize| neighbours.order().row(slot);
     let reach = support + 0.5 * skin * support;
     for (number, chunk) in neighbours.chunks.iter().enumerate().step_by(3) {
         let k = number % chunk.len();

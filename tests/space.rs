@@ -16,7 +16,6 @@ use whirls::run::run_info;
 use whirls::scene::{Axis, Scene};
 use whirls::sensitivity::Gradient;
 use whirls::systems::neighbours::{Neighbours, brute_force};
-use whirls::systems::particles::Cloud;
 use whirls::truth::Truth;
 use whirls::vector::Vector;
 use whirls::{Flow, scalar::Precision};
@@ -62,20 +61,7 @@ fn scene<const D: usize>(sides: [f64; 3], open: [bool; 3], overrides: &[&str]) -
 
 /// The pairs in the lists of a started flow, as rows, in ascending order.
 fn listed<const D: usize>(flow: &Flow<D>) -> Vec<(usize, usize)> {
-    let neighbours = flow.world().resource::<Neighbours<D>>();
-    let count = flow.world().resource::<Cloud<D>>().len();
-    let row = |slot: usize| neighbours.cells.row_of_slot[slot] as usize;
-    let mut pairs = Vec::new();
-    for chunk in neighbours.chunks.iter() {
-        for k in 0..chunk.len() {
-            let present = chunk.slots_of(k).filter(|&slot| slot < count);
-            let near = present.map(|slot| (row(chunk.first + k), row(slot)));
-            // A far particle may pad a list in the place of the sentinel.
-            pairs.extend(near.filter(|(i, j)| i != j));
-        }
-    }
-    pairs.sort_unstable();
-    pairs
+    flow.world().resource::<Neighbours<D>>().listed()
 }
 
 /// Asserts that lists hold exactly the pairs in reach, at random positions.

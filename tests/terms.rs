@@ -17,7 +17,7 @@ use whirls::scene::Scene;
 use whirls::sensitivity::Gradient;
 use whirls::systems::columns::Column;
 use whirls::systems::particle_force::{ParticleForce, ParticleState};
-use whirls::systems::particles::{Cloud, ParticleId, Velocity};
+use whirls::systems::particles::{Accelerations, ParticleId, Velocity};
 use whirls::systems::term::{Stage, Term};
 use whirls::systems::{Needs, Occasion, Phase};
 use whirls::truth::Truth;
@@ -207,8 +207,8 @@ struct Push {
     pullback: bool,
 }
 
-fn push<const D: usize>(mut cloud: ResMut<Cloud<D>>) {
-    cloud.acceleration.iter_mut().for_each(|a| a[0] += 0.25);
+fn push<const D: usize>(mut forces: ResMut<Accelerations<D>>) {
+    forces.0.iter_mut().for_each(|a| a[0] += 0.25);
 }
 
 fn nothing() {}

@@ -10,7 +10,7 @@ use whirls::flow::State;
 use whirls::parameters::Parameter;
 use whirls::scene::Forcing;
 use whirls::systems::neighbours::Neighbours;
-use whirls::systems::particles::{Cloud, ParticleId, Velocity};
+use whirls::systems::particles::{PairInputs, ParticleId, Velocity};
 use whirls::systems::verlet::Step;
 use whirls::vector::Vector;
 use whirls::{Error, Flow, Scene};
@@ -92,7 +92,7 @@ fn a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named<cons
     let scene = common::scene::<D>(if D == 2 { 257 } else { 41 });
     let mut flow = started(&scene, &shaken::<D>(&scene));
     let neighbours = flow.world().resource::<Neighbours<D>>();
-    let positions = flow.world().resource::<Cloud<D>>().particles();
+    let positions = flow.world().resource::<PairInputs>().particles();
     let reach = (2.0 + scene.time.skin) * scene.fluid.smoothing_length;
     let far = |a: usize, b: usize| {
         let [a, b] = [a, b].map(|slot| Vector::<f64, 3>(positions[slot].position));
@@ -103,8 +103,8 @@ fn a_number_lost_in_one_who_fills_up_the_lists_of_others_is_found_and_named<cons
         let filler = |k| chunk.slots_of(k).find(|&j| fills(chunk.first + k, j));
         (0..chunk.len()).find_map(filler)
     });
-    let particle = neighbours.cells.row_of_slot[filler.unwrap()];
-    plant(&mut flow, particle);
+    let particle = neighbours.order().row(filler.unwrap());
+    plant(&mut flow, particle as u32);
     let text = flow.step().unwrap_err().to_string();
     assert!(text.contains(&format!("of particle {particle} is not a finite number")), "{text}");
 }

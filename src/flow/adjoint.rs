@@ -6,13 +6,12 @@ use crate::systems::columns::{Column, KeptColumn};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, AccelerationAdjoint, AdjointCloud, Cloud, ParticleId, Particles, Position,
+    Acceleration, AccelerationAdjoint, AdjointCloud, ParticleId, Particles, Position,
     PositionAdjoint, Velocity, VelocityAdjoint,
 };
 use crate::systems::tape::Tape;
 use crate::systems::verlet::Clock;
 use crate::vector::Vector;
-use bevy_ecs::prelude::*;
 
 /// A complete snapshot, from which a flow continues with the same bits: the state, the carried
 /// force, and the positions from which the neighbour lists were built.
@@ -68,9 +67,7 @@ impl<const D: usize> Flow<D> {
             column.restore(world, kept);
         }
         world.insert_resource(snapshot.clock);
-        world.resource_scope(|world, mut cloud: Mut<'_, Cloud<D>>| {
-            world.resource_mut::<Neighbours<D>>().restore(&snapshot.reference, &mut cloud);
-        });
+        world.resource_mut::<Neighbours<D>>().restore(&snapshot.reference);
         in_pool(|| backward.prepare.run(world));
     }
 

@@ -14,9 +14,10 @@ use crate::systems::loss::{LossTerm, Losses};
 use crate::systems::neighbours::{NeighbourSearch, Neighbours};
 use crate::systems::packing::Packing;
 use crate::systems::particles::{
-    Acceleration, AccelerationAdjoint, AccelerationSensitivity, AdjointCloud, BlockOf, Cloud,
-    Density, ParticleId, Particles, Position, PositionAdjoint, PositionSensitivity,
-    SensitivityBlock, SensitivityCloud, Velocity, VelocityAdjoint, VelocitySensitivity,
+    Acceleration, AccelerationAdjoint, AccelerationSensitivity, Accelerations, AdjointCloud,
+    BlockOf, Densities, Density, PairInputs, ParticleId, Particles, Position, PositionAdjoint,
+    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocityAdjoint,
+    VelocitySensitivity,
 };
 use crate::systems::tape::Tape;
 use crate::systems::term::Term;
@@ -87,7 +88,9 @@ pub(super) fn insert_motion<const D: usize>(world: &mut World, scene: &Scene) {
     world.insert_resource(Integrator { step: scene.time.step, dt: scene.dt(), space });
     world.insert_resource(Clock::default());
     world.insert_resource(Neighbours::<D>::new(space, 2.0 * h, scene.time.skin * h));
-    world.insert_resource(Cloud::<D> { precision: scene.precision, ..Cloud::default() });
+    world.insert_resource(PairInputs { precision: scene.precision, ..PairInputs::default() });
+    world.insert_resource(Densities::default());
+    world.insert_resource(Accelerations::<D>::default());
     world.insert_resource(scene.limits);
     world.insert_resource(Failure::default());
 }

@@ -2,13 +2,15 @@
 
 use super::Flow;
 use crate::models::ForceJacobian;
-use crate::near::Near;
+use crate::neighbours::near::Near;
 use crate::scalar::Precision;
 use crate::systems::ScheduleKind;
 use crate::systems::density_tangent::DensityJacobian;
 use crate::systems::loss::Observations;
 use crate::systems::neighbours::{Chunk, Neighbours};
-use crate::systems::particles::{AdjointCloud, BlockOf, Cloud, ParticleId, SensitivityCloud};
+use crate::systems::particles::{
+    Accelerations, AdjointCloud, BlockOf, Densities, PairInputs, ParticleId, SensitivityCloud,
+};
 use crate::systems::tape::{FrameAdjoint, Tape};
 use crate::systems::verlet::Integrator;
 use bevy_ecs::archetype::{Archetype, ArchetypeEntity};
@@ -101,11 +103,11 @@ impl<const D: usize> Flow<D> {
         let count = self.particles().max(1) as f64;
         let evaluations =
             if self.world.resource::<Integrator>().step.refreshes() { 2.0 } else { 1.0 };
-        let cloud = self.world.resource::<Cloud<D>>();
+        let inputs = self.world.resource::<PairInputs>();
         let chunks = &self.world.resource::<Neighbours<D>>().chunks;
         let lists: usize = chunks.iter().map(Chunk::bytes).sum();
         let near: usize = chunks.iter().map(Chunk::batches).sum();
-        let lines = size_of_val(cloud.packed.as_slice()) + size_of_val(&cloud.slot_of_row[..]);
+        let lines = size_of_val(inputs.packed.as_slice()) + 4 * inputs.len();
         let tape = |name: &str, bytes: f64| MemoryReport::new("tape, a step", name, bytes);
         let mut all = vec![
             tape("cloud of each evaluation", evaluations * lines as f64 / count),
@@ -186,16 +188,16 @@ impl<const D: usize> Flow<D> {
     }
 
     fn cloud_arrays(&self) -> Arrays {
-        let Some(cloud) = self.world.get_resource::<Cloud<D>>() else { return Vec::new() };
+        let Some(inputs) = self.world.get_resource::<PairInputs>() else { return Vec::new() };
+        let densities = self.world.resource::<Densities>();
         let mut arrays = vec![
-            ("packed", room(&cloud.packed)),
-            ("acceleration", room(&cloud.acceleration)),
-            ("density", room(&cloud.density)),
-            ("slot_of_row", room(&cloud.slot_of_row)),
-            ("masks", cloud.masks.iter().map(room).sum()),
+            ("packed", room(&inputs.packed)),
+            ("acceleration", room(&self.world.resource::<Accelerations<D>>().0)),
+            ("density", room(&densities.by_slot)),
+            ("masks", densities.masks.iter().map(room).sum()),
         ];
-        if cloud.precision == Precision::Mixed {
-            arrays.push(("singles", room(&cloud.singles)));
+        if inputs.precision == Precision::Mixed {
+            arrays.push(("singles", room(&inputs.singles)));
         }
         arrays
     }

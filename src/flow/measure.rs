@@ -5,7 +5,7 @@ use crate::scalar::{F64x8, Scalar};
 use crate::statistics::{self, MomentumRates};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
-    Acceleration, Cloud, Density, ParticleId, Particles, Position, Velocity,
+    Acceleration, Density, PairInputs, ParticleId, Particles, Position, Velocity,
 };
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::watch::loneliness;
@@ -112,14 +112,14 @@ impl<const D: usize> Flow<D> {
 
     /// Mean number of neighbours within the support.
     pub fn neighbours_per_particle(&self) -> f64 {
-        let cloud = self.world.resource::<Cloud<D>>();
-        let pairs = self.world.resource::<Neighbours<D>>().pairs(cloud);
-        pairs as f64 / cloud.len().max(1) as f64
+        let inputs = self.world.resource::<PairInputs>();
+        let pairs = self.world.resource::<Neighbours<D>>().pairs(inputs.particles());
+        pairs as f64 / inputs.len().max(1) as f64
     }
 
     /// The warning that particles have too few neighbours for any pressure.
     pub fn loneliness(&self) -> Option<String> {
         let neighbours = self.world.resource::<Neighbours<D>>();
-        loneliness(neighbours, self.world.resource::<Cloud<D>>())
+        loneliness(neighbours, self.world.resource::<PairInputs>())
     }
 }

@@ -6,6 +6,7 @@
 pub mod ornstein_uhlenbeck;
 
 use crate::packed::{Packed, PackedSensitivity};
+use crate::reduce;
 use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, dispatch};
 use crate::space::Space;
 use crate::vector::Vector;
@@ -161,22 +162,16 @@ impl<const D: usize> SimdTask for Sums<'_, D> {
 /// that it must not depend on the machine.
 const SEQUENTIAL_SUM_LEN: usize = 4096;
 
-/// Sums three numbers over particles, by recursive halving. The order depends only on the number of
-/// particles, so that any number of threads gives the same bits.
+/// Sums three numbers over particles.
 fn sum_over<T: Sync>(particles: &[T], of: &(impl Fn(&T) -> [f64; 3] + Sync)) -> [f64; 3] {
-    let [mut a, b] = if particles.len() <= SEQUENTIAL_SUM_LEN {
+    reduce::by_halving(particles, SEQUENTIAL_SUM_LEN, &|particles: &[T]| {
         let mut sum = [0.0; 3];
         for particle in particles {
             let part = of(particle);
             (0..3).for_each(|axis| sum[axis] += part[axis]);
         }
-        return sum;
-    } else {
-        let (left, right) = particles.split_at(particles.len() / 2);
-        rayon::join(|| sum_over(left, of), || sum_over(right, of)).into()
-    };
-    (0..3).for_each(|axis| a[axis] += b[axis]);
-    a
+        sum
+    })
 }
 
 /// The rank-one couplings of [`EnergyInjection`]: `δv̄` and `δ(θ/E)`.

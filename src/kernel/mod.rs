@@ -28,11 +28,15 @@ mod shape;
 mod spline;
 mod table;
 
+#[doc(hidden)]
 pub use any::AnyKernel;
 pub use choice::{KernelChoice, KernelChoice as KernelName, LearnableKernel};
 pub use classical::{CubicSpline, WendlandC2, WendlandC4};
+#[doc(hidden)]
 pub use fourier::{DEEPEST_LOBE, Lobe, Transform, check_positive};
+#[doc(hidden)]
 pub use shape::{LearnableShape, ShapeKind, ShapeParameter, normalisation};
+#[doc(hidden)]
 pub use table::KernelTable;
 
 use crate::scalar::Scalar;

@@ -5,8 +5,8 @@
 use super::StateAdjoint;
 use super::lattice::{Meet, PaddedGrid, load_at, store_at};
 use super::mesh::Mesh;
-use crate::cells::{Cells, counting_sort};
 use crate::kernel::{Kernel, Smoothing};
+use crate::neighbours::cells::{Cells, counting_sort};
 use crate::packed::Packed;
 use crate::scalar::{SimdFloat, SimdTask, dispatch_doubles_by_kernel};
 use crate::space::Space;

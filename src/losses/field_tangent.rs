@@ -7,6 +7,7 @@ use super::mesh::Mesh;
 use crate::kernel::Kernel;
 use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::{Eight, ListBuilder, pick};
+use crate::reduce::in_order;
 use crate::scalar::{
     F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_doubles_by_kernel, transposed,
 };
@@ -21,7 +22,7 @@ struct Search<'a, K, const D: usize> {
     lines: Vec<Packed>,
     /// Fixed-point coordinates in cell order, padded by two [`WIDTH`].
     columns: [Vec<i32>; D],
-    /// Squared distances up to which particles may be in reach, see [`crate::fixed_point::FixedPoint::limits`].
+    /// Squared distances up to which particles may be in reach, see [`crate::neighbours::fixed_point::FixedPoint::limits`].
     limits: [f32; 2],
 }
 
@@ -306,7 +307,5 @@ pub fn field_loss<K: Kernel, const D: usize>(
         let pass = LossPass { search, mesh, blocks, direct, first, truth, weight };
         dispatch_doubles_by_kernel(points.smoothing.is_table(), pass)
     };
-    let parts: Vec<SquareSum> = truth.par_chunks(CHUNK).enumerate().map(part).collect();
-    parts.iter().for_each(|part| sum.merge(part));
-    sum
+    in_order(sum, truth.par_chunks(CHUNK).enumerate().map(part))
 }

@@ -23,6 +23,7 @@ pub use mesh::Mesh;
 pub use statistical::{statistical_adjoint, statistical_loss};
 pub use trajectory::{trajectory_adjoint, trajectory_loss};
 
+use crate::reduce::Partial;
 use crate::scalar::{F64x8, SimdFloat, WIDTH};
 use crate::vector::Vector;
 
@@ -149,7 +150,7 @@ impl SquareSum {
     }
 
     /// Adds another sum.
-    pub fn merge(&mut self, other: &Self) {
+    pub fn add_sum(&mut self, other: &Self) {
         self.value += other.value;
         self.count += other.count;
         self.size += other.size;
@@ -194,7 +195,7 @@ impl GradientSum {
     }
 
     /// Adds another sum.
-    pub fn merge(&mut self, other: &Self) {
+    pub fn add_sum(&mut self, other: &Self) {
         self.value += other.value;
         self.gradient.iter_mut().zip(&other.gradient).for_each(|(a, b)| *a += *b);
     }
@@ -202,6 +203,12 @@ impl GradientSum {
     /// `∂value/∂θ` of the first `count` parameters.
     pub fn gradient(&self, count: usize) -> Vec<f64> {
         self.gradient.iter().flat_map(|lanes| lanes.to_array()).take(count).collect()
+    }
+}
+
+impl Partial for SquareSum {
+    fn merge(&mut self, next: Self) {
+        self.add_sum(&next);
     }
 }
 

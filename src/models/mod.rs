@@ -45,13 +45,18 @@ mod window;
 pub use central::{Central, CentralForce};
 pub use laminar::{LaminarViscosity, MonaghanCleary, Morris};
 pub use medium::{FluidConstants, Medium, PairCoefficient};
+#[doc(hidden)]
 pub use scales::Scales;
-pub use scratch::{Learned, Scratch};
+#[doc(hidden)]
+pub use scratch::Learned;
+pub use scratch::Scratch;
 pub use slope::{CentralSlope, Change, GeneralSlope, PairCotangent, Slope, Slots};
 use slope::{load_vector, store_vector};
+#[doc(hidden)]
 pub use tangent::{
     CentralRows, EightPairs, ForceJacobian, Form, GeneralRows, MatrixRows, OwnSlope, PairRows,
 };
+#[doc(hidden)]
 pub use window::Window;
 
 use crate::error::{Error, Result};

@@ -6,8 +6,8 @@ use super::{
     PairShare, PullbackOutput, Scratch, Slope, Slots, TangentOptions, slope::add_lanes,
     store_vector,
 };
-use crate::chunk::Eight;
-use crate::near::Near;
+use crate::neighbours::chunk::Eight;
+use crate::neighbours::near::Near;
 use crate::packed::PackedAdjoint;
 use crate::pairs::{AHEAD, Batch, Lines, Neighbourhood, adjoints};
 use crate::scalar::{F64x8, Scalar, SimdFloat, SimdTask, WIDTH, dispatch_by_kernel};

@@ -1,6 +1,6 @@
 //! A network inside a model, and the scratch buffer in which one thread evaluates it.
 
-use crate::near::Near;
+use crate::neighbours::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
 use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
 

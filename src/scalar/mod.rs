@@ -17,12 +17,16 @@ mod x86;
 
 pub use dual::Dual;
 pub use lanes::{F64x8, WIDTH};
+#[doc(hidden)]
 pub use sift::Window;
 pub use singles::F32x8;
+#[doc(hidden)]
 pub use tabulated::Tabulated;
+pub use wide::{Precision, SimdFloat};
+#[doc(hidden)]
 pub use wide::{
-    Precision, SimdFloat, SimdTask, dispatch, dispatch_by_kernel, dispatch_doubles_by_kernel,
-    dispatch_in, on_every_instruction_set, transposed,
+    SimdTask, dispatch, dispatch_by_kernel, dispatch_doubles_by_kernel, dispatch_in,
+    on_every_instruction_set, transposed,
 };
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};

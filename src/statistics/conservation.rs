@@ -3,6 +3,7 @@
 use super::MomentumRates;
 use crate::flow::{Flow, Rows};
 use crate::models::FluidConstants;
+use crate::reduce::{Partial, in_order};
 use crate::state::internal_energies;
 use crate::systems::neighbours::CHUNK;
 use crate::vector::Vector;
@@ -118,8 +119,7 @@ impl<const D: usize> Sums<D> {
             }
             sums
         });
-        let parts: Vec<Self> = parts.collect();
-        parts.into_iter().fold(Self::NOTHING, Self::and)
+        in_order(Self::NOTHING, parts)
     }
 
     fn see_velocity(&mut self, velocity: Vector<f64, D>) {
@@ -128,13 +128,14 @@ impl<const D: usize> Sums<D> {
         self.squares += square;
         self.largest_square = self.largest_square.max(square);
     }
+}
 
-    fn and(mut self, other: Self) -> Self {
-        self.velocity += other.velocity;
-        self.squares += other.squares;
-        self.largest_square = self.largest_square.max(other.largest_square);
-        self.internal_energy += other.internal_energy;
-        self.deviation = self.deviation.max(other.deviation);
-        self
+impl<const D: usize> Partial for Sums<D> {
+    fn merge(&mut self, next: Self) {
+        self.velocity += next.velocity;
+        self.squares += next.squares;
+        self.largest_square = self.largest_square.max(next.largest_square);
+        self.internal_energy += next.internal_energy;
+        self.deviation = self.deviation.max(next.deviation);
     }
 }

@@ -1,6 +1,6 @@
 //! Dispersion: displacements of particles and of pairs of particles.
 
-use crate::cells::Cells;
+use crate::neighbours::cells::Cells;
 use crate::space::Space;
 use crate::vector::Vector;
 
@@ -17,7 +17,7 @@ pub fn close_pairs<const D: usize>(
     for (i, &here) in positions.iter().enumerate() {
         let from = pairs.len();
         for range in cells.around(cells.coordinates(here)).ranges() {
-            for &row in &cells.row_of_slot[range.from as usize..range.to as usize] {
+            for &row in &cells.order().rows()[range.from as usize..range.to as usize] {
                 let j = row as usize;
                 let apart = space.minimum_image(here - positions[j]).norm_squared();
                 if i < j && apart < reach * reach {

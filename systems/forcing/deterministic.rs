@@ -1,12 +1,14 @@
 //! Deterministic forcing: injects energy at a constant rate, `f = (θ/E)(v − v̄)`.
 
-use crate::cells::MIN_PARALLEL_LEN;
 use crate::forcing::{EnergyInjection, Power};
+use crate::neighbours::cells::MIN_PARALLEL_LEN;
 use crate::packed::{Packed, PackedSensitivity};
 use crate::pairs::CHUNK;
 use crate::parameters::{Parameter, ParameterSpec};
 use crate::systems::acceleration::Laws;
-use crate::systems::particles::{AdjointCloud, Cloud, SensitivityBlock, SensitivityCloud};
+use crate::systems::particles::{
+    Accelerations, AdjointCloud, PairInputs, SensitivityBlock, SensitivityCloud,
+};
 use crate::systems::term::{Contribution, ContributionKind, Stage, Term};
 use crate::systems::{Needs, Occasion, Phase};
 use crate::vector::Vector;
@@ -32,9 +34,9 @@ impl DeterministicForcing {
         Self { theta, power, place: 0, law: None }
     }
 
-    /// The law for the velocities in a cloud.
-    fn now<const D: usize>(&self, cloud: &Cloud<D>) -> EnergyInjection {
-        EnergyInjection::new(self.theta, self.power, cloud.particles(), |p| p.velocity)
+    /// The law for the velocities in a inputs.
+    fn now(&self, inputs: &PairInputs) -> EnergyInjection {
+        EnergyInjection::new(self.theta, self.power, inputs.particles(), |p| p.velocity)
     }
 }
 
@@ -69,10 +71,10 @@ impl<const D: usize> Term<D> for DeterministicForcing {
     }
 
     fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
-        let cloud = world.resource::<Cloud<D>>();
-        let law = world.get_resource::<Self>().unwrap_or(self).now(cloud);
+        let inputs = world.resource::<PairInputs>();
+        let law = world.get_resource::<Self>().unwrap_or(self).now(inputs);
         let forces: Vec<Vector<f64, D>> =
-            cloud.particles().iter().map(|p| law.force(p.velocity)).collect();
+            inputs.particles().iter().map(|p| law.force(p.velocity)).collect();
         let mass = world.resource::<Laws<D>>().model().mass();
         let kind = ContributionKind::Forcing;
         vec![Contribution::of(Term::<D>::name(self), kind, mass, &forces)]
@@ -82,11 +84,12 @@ impl<const D: usize> Term<D> for DeterministicForcing {
 /// System: adds `f = (θ/E)(v − v̄)`.
 fn force_deterministically<const D: usize>(
     mut forcing: ResMut<DeterministicForcing>,
-    mut cloud: ResMut<Cloud<D>>,
+    inputs: Res<PairInputs>,
+    mut accelerations: ResMut<Accelerations<D>>,
 ) {
-    let injection = forcing.now(&cloud);
-    let Cloud { packed, acceleration, .. } = &mut *cloud;
-    let lines = acceleration.par_iter_mut().zip(packed).with_min_len(MIN_PARALLEL_LEN);
+    let injection = forcing.now(&inputs);
+    let lines =
+        accelerations.0.par_iter_mut().zip(inputs.particles()).with_min_len(MIN_PARALLEL_LEN);
     lines.for_each(|(a, p)| *a += injection.force(p.velocity));
     forcing.law = Some(injection);
 }
@@ -95,17 +98,17 @@ fn force_deterministically<const D: usize>(
 /// two sums over all particles are needed first.
 fn force_deterministically_tangent<const D: usize>(
     forcing: Res<DeterministicForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let Some(law) = forcing.law else { return };
     let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
-    let particles = cloud.particles();
+    let particles = inputs.particles();
     sensitivities.blocks.par_iter_mut().for_each(|block| {
         let theta = block.direction(forcing.place);
         let SensitivityBlock { packed, acceleration, .. } = block;
         let of = |particles: &[Packed], changes: &[PackedSensitivity<D>]| {
-            law.tangent(cloud.len(), law.sums(particles, changes), theta)
+            law.tangent(inputs.len(), law.sums(particles, changes), theta)
         };
         if full {
             let all = of(particles, packed);
@@ -124,12 +127,12 @@ fn force_deterministically_tangent<const D: usize>(
 /// System: the pullback of [`force_deterministically`].
 fn force_deterministically_pullback<const D: usize>(
     forcing: Res<DeterministicForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
-    let law = forcing.now(&cloud);
+    let law = forcing.now(&inputs);
     let AdjointCloud { packed, velocity, parameters, .. } = &mut *adjoint;
-    let velocities = cloud.particles().iter().map(|p| p.velocity);
+    let velocities = inputs.particles().iter().map(|p| p.velocity);
     let forces = packed.iter().map(|line| line.force);
     parameters[forcing.place] += law.pullback(velocities, forces, velocity);
 }

@@ -15,6 +15,7 @@ use crate::forcing::ornstein_uhlenbeck::Settings;
 use crate::scene::{Forcing, Scene};
 
 /// The terms of a scene's forcing; empty without forcing.
+#[doc(hidden)]
 pub fn terms<const D: usize>(scene: &Scene) -> Vec<Box<dyn Term<D>>> {
     match scene.forcing {
         Forcing::None => Vec::new(),

@@ -6,7 +6,7 @@ use crate::scalar::F64x8;
 use crate::scene::Scene;
 use crate::sensitivity::Coupling;
 use crate::systems::acceleration::Laws;
-use crate::systems::particles::{AdjointCloud, Cloud, SensitivityCloud};
+use crate::systems::particles::{Accelerations, AdjointCloud, PairInputs, SensitivityCloud};
 use crate::systems::term::{Contribution, ContributionKind, Stage, Term};
 use crate::systems::verlet::Clock;
 use crate::systems::{Needs, Occasion, Phase};
@@ -34,15 +34,15 @@ impl OrnsteinUhlenbeckForcing {
     /// The force on each particle at a step, minus the mean over the particles, in cell order.
     fn find_forces<const D: usize>(
         &mut self,
-        (cloud, step): (&Cloud<D>, u64),
+        (inputs, step): (&PairInputs, u64),
         into: &mut Vec<[f64; 3]>,
     ) {
         let waves = self.process.modes_at(step);
-        let particles = cloud.particles().par_iter().with_min_len(CHUNK);
+        let particles = inputs.particles().par_iter().with_min_len(CHUNK);
         particles.map(|p| waves.at::<D>(p.position).to_3d()).collect_into_vec(into);
         let mut mean = Vector::<f64, D>::zero();
         into.iter().for_each(|&force| mean += Vector::from_3d(force));
-        mean = mean * (1.0 / cloud.len().max(1) as f64);
+        mean = mean * (1.0 / inputs.len().max(1) as f64);
         into.iter_mut().for_each(|f| *f = (Vector::<f64, D>::from_3d(*f) - mean).to_3d());
     }
 }
@@ -66,9 +66,9 @@ impl<const D: usize> Term<D> for OrnsteinUhlenbeckForcing {
     }
 
     fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
-        let (cloud, clock) = (world.resource::<Cloud<D>>(), world.resource::<Clock>());
+        let (inputs, clock) = (world.resource::<PairInputs>(), world.resource::<Clock>());
         let mut forces = Vec::new();
-        self.clone().find_forces((cloud, clock.evaluated), &mut forces);
+        self.clone().find_forces::<D>((inputs, clock.evaluated), &mut forces);
         let forces: Vec<Vector<f64, D>> = forces.into_iter().map(Vector::from_3d).collect();
         let mass = world.resource::<Laws<D>>().model().mass();
         let kind = ContributionKind::Forcing;
@@ -80,11 +80,12 @@ impl<const D: usize> Term<D> for OrnsteinUhlenbeckForcing {
 fn force_by_waves<const D: usize>(
     clock: Res<Clock>,
     mut forcing: ResMut<OrnsteinUhlenbeckForcing>,
-    mut cloud: ResMut<Cloud<D>>,
+    inputs: Res<PairInputs>,
+    mut accelerations: ResMut<Accelerations<D>>,
 ) {
     let mut forces = std::mem::take(&mut forcing.forces);
-    forcing.find_forces((&cloud, clock.evaluated), &mut forces);
-    for (a, &force) in cloud.acceleration.iter_mut().zip(&forces) {
+    forcing.find_forces::<D>((&inputs, clock.evaluated), &mut forces);
+    for (a, &force) in accelerations.0.iter_mut().zip(&forces) {
         *a += Vector::from_3d(force);
     }
     forcing.forces = forces;
@@ -94,14 +95,14 @@ fn force_by_waves<const D: usize>(
 fn force_by_waves_tangent<const D: usize>(
     clock: Res<Clock>,
     mut forcing: ResMut<OrnsteinUhlenbeckForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let waves = forcing.process.modes_at(clock.evaluated);
     let full = sensitivities.coupling == Coupling::Full;
-    let each = 1.0 / cloud.len().max(1) as f64;
+    let each = 1.0 / inputs.len().max(1) as f64;
     for block in &mut sensitivities.blocks {
-        let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
+        let lines = block.packed.par_iter().zip(inputs.particles()).with_min_len(CHUNK);
         let changes: Vec<Vector<F64x8, D>> =
             lines.map(|(change, p)| waves.tangent(p.position, change.position)).collect();
         let mut mean = Vector::zero();
@@ -119,15 +120,15 @@ fn force_by_waves_tangent<const D: usize>(
 fn force_by_waves_pullback<const D: usize>(
     clock: Res<Clock>,
     mut forcing: ResMut<OrnsteinUhlenbeckForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let waves = forcing.process.modes_at(clock.evaluated);
     let AdjointCloud { packed, position, .. } = &mut *adjoint;
     let mut mean = Vector::<f64, D>::zero();
     packed.iter().for_each(|line| mean += Vector::from_3d(line.force));
-    mean = mean * (1.0 / cloud.len().max(1) as f64);
-    let rows = position.par_iter_mut().zip(cloud.particles()).zip(&*packed);
+    mean = mean * (1.0 / inputs.len().max(1) as f64);
+    let rows = position.par_iter_mut().zip(inputs.particles()).zip(&*packed);
     rows.with_min_len(CHUNK).for_each(|((out, p), line)| {
         *out += waves.pullback(p.position, Vector::from_3d(line.force) - mean);
     });

@@ -5,8 +5,7 @@ use crate::pairs::CHUNK;
 use crate::scalar::F64x8;
 use crate::space::Space;
 use crate::systems::acceleration::Laws;
-use crate::systems::neighbours::Neighbours;
-use crate::systems::particles::{AdjointCloud, Cloud, SensitivityCloud};
+use crate::systems::particles::{Accelerations, AdjointCloud, PairInputs, SensitivityCloud};
 use crate::systems::term::{Contribution, ContributionKind, Stage, Term};
 use crate::systems::verlet::{Clock, Integrator};
 use crate::systems::{Needs, Occasion, Phase};
@@ -56,12 +55,12 @@ impl StochasticForcing {
     }
 
     /// The force on each particle, minus the mean over the particles, in cell order.
-    fn find_forces<const D: usize>(&self, cloud: &Cloud<D>, into: &mut Vec<[f64; 3]>) {
-        let particles = cloud.particles().par_iter().with_min_len(CHUNK);
+    fn find_forces<const D: usize>(&self, inputs: &PairInputs, into: &mut Vec<[f64; 3]>) {
+        let particles = inputs.particles().par_iter().with_min_len(CHUNK);
         particles.map(|p| self.force::<D>(p.position).to_3d()).collect_into_vec(into);
         let mut mean = Vector::<f64, D>::zero();
         into.iter().for_each(|&force| mean += Vector::from_3d(force));
-        mean = mean * (1.0 / cloud.len().max(1) as f64);
+        mean = mean * (1.0 / inputs.len().max(1) as f64);
         into.iter_mut().for_each(|f| *f = (Vector::<f64, D>::from_3d(*f) - mean).to_3d());
     }
 
@@ -100,8 +99,8 @@ impl<const D: usize> Term<D> for StochasticForcing {
     }
 
     fn contributions(&self, world: &World) -> Vec<Contribution<D>> {
-        let (cloud, mut forces) = (world.resource::<Cloud<D>>(), Vec::new());
-        world.get_resource::<Self>().unwrap_or(self).find_forces(cloud, &mut forces);
+        let (inputs, mut forces) = (world.resource::<PairInputs>(), Vec::new());
+        world.get_resource::<Self>().unwrap_or(self).find_forces::<D>(inputs, &mut forces);
         let forces: Vec<Vector<f64, D>> = forces.into_iter().map(Vector::from_3d).collect();
         let mass = world.resource::<Laws<D>>().model().mass();
         let kind = ContributionKind::Forcing;
@@ -114,15 +113,15 @@ impl<const D: usize> Term<D> for StochasticForcing {
 fn force_stochastically<const D: usize>(
     clock: Res<Clock>,
     integrator: Res<Integrator>,
-    neighbours: Res<Neighbours<D>>,
     mut forcing: ResMut<StochasticForcing>,
-    mut cloud: ResMut<Cloud<D>>,
+    inputs: Res<PairInputs>,
+    mut accelerations: ResMut<Accelerations<D>>,
 ) {
     let time = clock.time_at(clock.evaluated, integrator.dt);
-    forcing.draw(D, neighbours.space, time + 0.5 * integrator.dt);
+    forcing.draw(D, integrator.space, time + 0.5 * integrator.dt);
     let mut forces = std::mem::take(&mut forcing.forces);
-    forcing.find_forces(&cloud, &mut forces);
-    for (a, &force) in cloud.acceleration.iter_mut().zip(&forces) {
+    forcing.find_forces::<D>(&inputs, &mut forces);
+    for (a, &force) in accelerations.0.iter_mut().zip(&forces) {
         *a += Vector::from_3d(force);
     }
     forcing.forces = forces;
@@ -131,13 +130,13 @@ fn force_stochastically<const D: usize>(
 /// System: the tangent of [`force_stochastically`].
 fn force_stochastically_tangent<const D: usize>(
     forcing: Res<StochasticForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut sensitivities: ResMut<SensitivityCloud<D>>,
 ) {
     let full = sensitivities.coupling == crate::sensitivity::Coupling::Full;
-    let each = 1.0 / cloud.len().max(1) as f64;
+    let each = 1.0 / inputs.len().max(1) as f64;
     for block in &mut sensitivities.blocks {
-        let lines = block.packed.par_iter().zip(cloud.particles()).with_min_len(CHUNK);
+        let lines = block.packed.par_iter().zip(inputs.particles()).with_min_len(CHUNK);
         let changes: Vec<Vector<F64x8, D>> =
             lines.map(|(change, p)| forcing.tangent(p.position, change.position)).collect();
         let mut mean = Vector::zero();
@@ -156,18 +155,17 @@ fn force_stochastically_tangent<const D: usize>(
 /// System: the pullback of [`force_stochastically`].
 fn force_stochastically_pullback<const D: usize>(
     (clock, integrator): (Res<Clock>, Res<Integrator>),
-    neighbours: Res<Neighbours<D>>,
     mut forcing: ResMut<StochasticForcing>,
-    cloud: Res<Cloud<D>>,
+    inputs: Res<PairInputs>,
     mut adjoint: ResMut<AdjointCloud<D>>,
 ) {
     let time = clock.time_at(clock.evaluated, integrator.dt);
-    forcing.draw(D, neighbours.space, time + 0.5 * integrator.dt);
+    forcing.draw(D, integrator.space, time + 0.5 * integrator.dt);
     let AdjointCloud { packed, position, .. } = &mut *adjoint;
     let mut mean = Vector::<f64, D>::zero();
     packed.iter().for_each(|line| mean += Vector::from_3d(line.force));
-    mean = mean * (1.0 / cloud.len().max(1) as f64);
-    for ((p, line), out) in cloud.particles().iter().zip(packed).zip(position) {
+    mean = mean * (1.0 / inputs.len().max(1) as f64);
+    for ((p, line), out) in inputs.particles().iter().zip(packed).zip(position) {
         let across = Vector::<f64, D>::from_3d(line.force) - mean;
         for mode in &forcing.modes {
             let amplitude = Vector::<f64, D>::from_3d(mode.amplitude);

@@ -19,7 +19,7 @@ fn points<'a, const D: usize>(
     smoothing: &'a Smoothing<AnyKernel, D>,
 ) -> Points<'a, AnyKernel, D> {
     Points {
-        packed: seen.cloud.particles(),
+        packed: seen.inputs.particles(),
         cells: &seen.neighbours.cells,
         space: seen.neighbours.space,
         smoothing,

@@ -29,12 +29,12 @@ impl<const D: usize> FrameLoss<D> for StatisticalLoss {
 
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let (LossPart::Gradient(sum), Some(truth)) = (sum, truth(seen)) else { return };
-        let particles = (seen.cloud.particles(), &seen.cloud.slot_of_row[..]);
-        sum.merge(&statistical_loss(particles, &packed(blocks), &seen.observations.start, truth));
+        let particles = (seen.inputs.particles(), seen.neighbours.order().slots());
+        sum.add_sum(&statistical_loss(particles, &packed(blocks), &seen.observations.start, truth));
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {
-        let particles = (seen.cloud.particles(), &seen.cloud.slot_of_row[..]);
+        let particles = (seen.inputs.particles(), seen.neighbours.order().slots());
         Some(statistical_adjoint(particles, &seen.observations.start, truth(seen)?))
     }
 }

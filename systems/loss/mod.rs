@@ -13,7 +13,7 @@ pub use trajectory::TrajectoryLoss;
 use super::acceleration::Laws;
 use super::neighbours::Neighbours;
 use super::packing;
-use super::particles::{Cloud, SensitivityBlock, SensitivityCloud};
+use super::particles::{PairInputs, SensitivityBlock, SensitivityCloud};
 use super::tape::{Tape, add_loss};
 use super::term::{Stage, Term};
 use super::verlet::Clock;
@@ -89,7 +89,7 @@ pub struct Seen<'a, const D: usize> {
     /// Cells and box.
     pub neighbours: &'a Neighbours<D>,
     /// Particles in cell order.
-    pub cloud: &'a Cloud<D>,
+    pub inputs: &'a PairInputs,
 }
 
 /// A loss of one observed frame.
@@ -120,6 +120,7 @@ fn packed<const D: usize>(blocks: &[SensitivityBlock<D>]) -> Vec<&[PackedSensiti
 
 /// The losses that observations ask for, in the order in which they are summed. A loss of weight
 /// zero is left out.
+#[doc(hidden)]
 pub fn losses<const D: usize>(observations: &Observations<D>) -> Vec<Box<dyn FrameLoss<D>>> {
     let all: [(f64, Box<dyn FrameLoss<D>>); 3] = [
         (observations.trajectory, Box::new(TrajectoryLoss)),
@@ -151,7 +152,7 @@ impl LossPart {
     /// Adds a frame's sums of squares, quantity by quantity.
     pub fn merge(&mut self, frame: &[SquareSum]) {
         if let Self::Squares(sums) = self {
-            sums.iter_mut().zip(frame).for_each(|((_, sum), frame)| sum.merge(frame));
+            sums.iter_mut().zip(frame).for_each(|((_, sum), frame)| sum.add_sum(frame));
         }
     }
 
@@ -272,6 +273,7 @@ impl<const D: usize> Term<D> for LossTerm {
 }
 
 /// Run condition: whether the step just completed is observed.
+#[doc(hidden)]
 pub fn is_observed<const D: usize>(
     clock: Res<Clock>,
     observations: Option<Res<Observations<D>>>,
@@ -287,7 +289,7 @@ pub struct Comparison<'w, const D: usize> {
     losses: Res<'w, Losses<D>>,
     laws: Res<'w, Laws<D>>,
     neighbours: Res<'w, Neighbours<D>>,
-    cloud: Res<'w, Cloud<D>>,
+    inputs: Res<'w, PairInputs>,
 }
 
 impl<const D: usize> Comparison<'_, D> {
@@ -300,12 +302,13 @@ impl<const D: usize> Comparison<'_, D> {
             medium: self.laws.model().medium(),
             places: self.laws.model.scalars(),
             neighbours: &self.neighbours,
-            cloud: &self.cloud,
+            inputs: &self.inputs,
         })
     }
 }
 
 /// System: adds an observed frame's share to the loss.
+#[doc(hidden)]
 pub fn accumulate_loss<const D: usize>(
     comparison: Comparison<'_, D>,
     sensitivities: Option<Res<SensitivityCloud<D>>>,
@@ -320,6 +323,7 @@ pub fn accumulate_loss<const D: usize>(
 
 /// System: as [`accumulate_loss`], in adjoint mode: records the derivatives of the loss by the
 /// state of every particle on the tape.
+#[doc(hidden)]
 pub fn accumulate_loss_adjoint<const D: usize>(
     comparison: Comparison<'_, D>,
     mut tape: ResMut<Tape<D>>,
@@ -331,7 +335,7 @@ pub fn accumulate_loss_adjoint<const D: usize>(
             part.add_value(loss.value(&seen));
         } else if let Some(adjoint) = loss.adjoint(&seen) {
             part.add_value(adjoint.value);
-            tape.push_frame(comparison.clock.step, &adjoint, &seen.cloud.slot_of_row);
+            tape.push_frame(comparison.clock.step, &adjoint, seen.neighbours.order().slots());
         }
     }
 }

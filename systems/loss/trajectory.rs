@@ -11,7 +11,7 @@ pub struct TrajectoryLoss;
 
 /// `(r̂, v̂)` of the particle in a slot.
 fn truth<const D: usize>(seen: &Seen<'_, D>) -> impl Fn(usize) -> (Vector<f64, D>, Vector<f64, D>) {
-    let (frame, rows) = (seen.frame, &seen.neighbours.cells.row_of_slot);
+    let (frame, rows) = (seen.frame, seen.neighbours.order().rows());
     |slot| {
         let row = rows[slot] as usize;
         (frame.positions[row], frame.velocities[row])
@@ -29,12 +29,12 @@ impl<const D: usize> FrameLoss<D> for TrajectoryLoss {
 
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let weight = (seen.neighbours.space, seen.observations.trajectory);
-        let found = trajectory_loss(seen.cloud.particles(), &packed(blocks), truth(seen), weight);
+        let found = trajectory_loss(seen.inputs.particles(), &packed(blocks), truth(seen), weight);
         sum.merge(&found);
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {
         let weight = (seen.neighbours.space, seen.observations.trajectory);
-        Some(trajectory_adjoint(seen.cloud.particles(), truth(seen), weight))
+        Some(trajectory_adjoint(seen.inputs.particles(), truth(seen), weight))
     }
 }

@@ -23,7 +23,7 @@ use whirls::systems::acceleration::accelerate;
 use whirls::systems::density::sum_density;
 use whirls::systems::neighbours::{Neighbours, find_neighbours};
 use whirls::systems::packing::pack_velocities;
-use whirls::systems::particles::Cloud;
+use whirls::systems::particles::PairInputs;
 use whirls::vector::Vector;
 use whirls::{Flow, Scene};
 
@@ -295,7 +295,7 @@ impl SimdTask for Floor<'_> {
 fn plain_evaluation(world: &mut bevy_ecs::world::World, medium: &Medium<3>) {
     let neighbours = world.resource::<Neighbours<3>>();
     let support2 = medium.smoothing.support() * medium.smoothing.support();
-    let cloud = world.resource::<Cloud<3>>();
+    let cloud = world.resource::<PairInputs>();
     let place = |slot: usize| Vector(cloud.packed[slot].position);
     let mut sums = (Vec::with_capacity(cloud.len()), Vec::with_capacity(cloud.len()));
     for chunk in neighbours.chunks.iter() {

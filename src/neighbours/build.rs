@@ -5,8 +5,8 @@
 //! every instruction set. Pairs closer to the limit than the quantisation error are compared again
 //! in `f64`.
 
-use crate::cells::Cells;
-use crate::chunk::FEW;
+use super::cells::Cells;
+use super::chunk::FEW;
 use crate::pairs::{CHUNK, Chunk, Entry, ListBuilder, Lists};
 use crate::scalar::{SimdFloat, SimdTask, WIDTH, Window};
 use crate::space::Space;
@@ -365,9 +365,9 @@ impl<const D: usize> ListPass<'_, D> {
         let near = |bit: &usize| {
             // Bits outside of the mask may belong to no particle.
             mask >> bit & 1 == 1 && {
-                let rows = &self.cells.row_of_slot;
+                let order = self.cells.order();
                 let [here, there] =
-                    [slot, other(*bit)].map(|slot| (self.position)(rows[slot] as usize));
+                    [slot, other(*bit)].map(|slot| (self.position)(order.row(slot)));
                 let apart = self.space.minimum_image(here - there);
                 apart.norm_squared() < self.reach.0 * self.reach.0
             }

@@ -1,6 +1,7 @@
 //! A cell list: finds the particles near a place, at a cost linear in the number of particles.
 
-use crate::fixed_point::FixedPoint;
+use super::fixed_point::FixedPoint;
+use super::order::Order;
 use crate::space::Space;
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -24,8 +25,8 @@ pub struct Cells<const D: usize> {
     shift: u32,
     /// First slot of each cell, and the number of slots at the end.
     start: Vec<u32>,
-    /// Row of each slot.
-    pub row_of_slot: Vec<u32>,
+    /// Rows and slots.
+    pub(super) order: Order,
 }
 
 impl<const D: usize> Default for Cells<D> {
@@ -36,7 +37,7 @@ impl<const D: usize> Default for Cells<D> {
             factor: [0; D],
             shift: 0,
             start: Vec::new(),
-            row_of_slot: Vec::new(),
+            order: Order::default(),
         }
     }
 }
@@ -44,25 +45,33 @@ impl<const D: usize> Default for Cells<D> {
 impl<const D: usize> Cells<D> {
     /// Sorts particles into cells at least `reach` wide. The sort is stable.
     pub fn sort(&mut self, positions: &[Vector<f64, D>], space: Space, reach: f64) {
-        let mut slots = vec![0; positions.len()];
         let fixed_point = FixedPoint::new(space, reach, positions.iter().copied());
-        self.sort_by(|row| positions[row], fixed_point, reach, &mut slots);
+        self.sort_by(positions.len(), |row| positions[row], fixed_point, reach);
     }
 
-    /// As [`Self::sort`], of `slots.len()` particles. Writes the slot of each row into `slots`.
+    /// As [`Self::sort`], of `count` particles.
     pub fn sort_by(
         &mut self,
+        count: usize,
         position: impl Fn(usize) -> Vector<f64, D> + Sync,
         fixed_point: FixedPoint<D>,
         reach: f64,
-        slots: &mut [u32],
     ) {
         self.fixed_point = fixed_point;
-        self.divide(reach, slots.len());
-        let cells = slots.par_iter_mut().with_min_len(MIN_PARALLEL_LEN).enumerate();
-        cells.for_each(|(row, cell)| *cell = self.index(self.coordinates(position(row))) as u32);
-        let cells = self.count();
-        counting_sort(slots, cells, &mut self.start, &mut self.row_of_slot);
+        self.divide(reach, count);
+        let mut order = std::mem::take(&mut self.order);
+        let mut start = std::mem::take(&mut self.start);
+        order.sort((count, self.count()), &mut start, |keys| {
+            let keys = keys.par_iter_mut().with_min_len(MIN_PARALLEL_LEN).enumerate();
+            keys.for_each(|(row, key)| *key = self.index(self.coordinates(position(row))) as u32);
+        });
+        (self.order, self.start) = (order, start);
+    }
+
+    /// Rows and slots.
+    #[inline(always)]
+    pub fn order(&self) -> &Order {
+        &self.order
     }
 
     /// Divides space into cells at least `reach` wide, for this many particles.
@@ -283,7 +292,7 @@ impl<const D: usize> Cells<D> {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * (self.start.capacity() + self.row_of_slot.capacity())
+        4 * self.start.capacity() + self.order.bytes()
     }
 }
 

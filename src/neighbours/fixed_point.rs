@@ -109,7 +109,7 @@ impl<const D: usize> FixedPoint<D> {
     }
 
     /// The place of which the image in cells shifted by whole periods is looked for, see
-    /// [`crate::cells::Range::image`].
+    /// [`crate::neighbours::cells::Range::image`].
     #[inline(always)]
     pub(crate) fn seen_from(&self, mut place: [i32; D], image: [i8; 3]) -> [i32; D] {
         for axis in 0..D {

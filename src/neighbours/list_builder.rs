@@ -1,6 +1,6 @@
 //! Neighbour lists while they are written, one slot after another.
 
-use crate::chunk::{CHUNK, Entry};
+use crate::neighbours::chunk::{CHUNK, Entry};
 use crate::scalar::{SimdFloat, WIDTH};
 
 /// The neighbour lists of consecutive slots, while they are written.

@@ -1,6 +1,6 @@
-//! Neighbour lists in groups of eight, as they are stored; [`crate::list_builder`] builds them.
+//! Neighbour lists in groups of eight, as they are stored; [`super::list_builder`] builds them.
 
-use crate::list_builder::{ListBuilder, Lists};
+use crate::neighbours::list_builder::{ListBuilder, Lists};
 use crate::pairs::{Surroundings, pick};
 use crate::scalar::{SimdFloat, WIDTH};
 use crate::space::Space;

@@ -6,8 +6,8 @@
 //! smaller. Displacements are bounded by a box for each cell of the list, and each box is compared
 //! with those of the cells around it.
 
-use super::particles::Position;
-use crate::cells::Cells;
+use super::cells::Cells;
+use crate::vector::Vector;
 use rayon::prelude::*;
 
 /// Cells per parallel task, minimum: fewer are not worth another thread.
@@ -62,23 +62,23 @@ impl Bounds {
 
 /// Bounds of the displacements in all cells. The memory is reused.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Movement {
+pub(super) struct Displacements {
     bounds: Vec<Bounds>,
 }
 
-impl Movement {
+impl Displacements {
     /// Makes room for the bounds of this many cells.
     pub(super) fn resize(&mut self, cells: usize) {
         self.bounds.resize(cells, Bounds::NONE);
     }
 
     /// Bounds the displacements since `cells` were sorted, and returns the largest squared
-    /// displacement, in fixed-point steps. `positions` are the current positions, row by row;
+    /// displacement, in fixed-point steps. `position` is the current position of a row;
     /// `columns` the fixed-point coordinates at the sort, in the order of the cells.
     pub(super) fn bound<const D: usize>(
         &mut self,
         (cells, columns): (&Cells<D>, &[Vec<i32>; D]),
-        positions: &[Position<D>],
+        position: impl Fn(usize) -> Vector<f64, D> + Sync,
     ) -> f64 {
         let fixed_point = cells.fixed_point();
         let all = self.bounds.par_iter_mut().with_min_len(CELLS).enumerate();
@@ -86,10 +86,10 @@ impl Movement {
             *bounds = Bounds::NONE;
             let mut farthest = 0.0_f64;
             for slot in cells.range(cell) {
-                let position = positions[cells.row_of_slot[slot] as usize].0;
                 let mut before = [0; D];
                 (0..D).for_each(|axis| before[axis] = columns[axis][slot]);
-                let moved = fixed_point.moved(fixed_point.of(position), before);
+                let moved =
+                    fixed_point.moved(fixed_point.of(position(cells.order().row(slot))), before);
                 let mut square = 0.0;
                 for x in moved {
                     square += f64::from(x) * f64::from(x);

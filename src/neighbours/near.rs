@@ -1,6 +1,6 @@
 //! The listed neighbours within the support, eight at a time.
 
-use crate::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
+use crate::neighbours::chunk::{CHUNK, Chunk, Eight, Entry, fetch};
 use crate::pairs::Surroundings;
 use crate::scalar::{SimdFloat, SimdTask, WIDTH, dispatch};
 use crate::space::Space;
@@ -145,7 +145,7 @@ impl Sift<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::list_builder::ListBuilder;
+    use crate::neighbours::list_builder::ListBuilder;
 
     #[test]
     fn who_is_near_is_who_is_in_the_masks_of_short_and_of_whole_lists() {
