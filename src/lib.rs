@@ -4,6 +4,8 @@
 pub mod arrays;
 pub mod cells;
 pub mod chunk;
+#[cfg(feature = "laboratory")]
+pub mod commands;
 
 pub mod error;
 #[cfg(feature = "laboratory")]
