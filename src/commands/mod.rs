@@ -57,6 +57,7 @@ commands! {
     train::Train = "train";
     simulate::Simulate = "simulate";
     import::Import = "import";
+    export_law::ExportLaw = "export-law";
     evaluate::Evaluate = "evaluate";
     trade::Trade = "trade";
     replay::Replay = "replay";

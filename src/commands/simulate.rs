@@ -13,11 +13,11 @@ use crate::interrupt;
 use crate::output::Output;
 use crate::recording::{self, Level};
 use crate::run::{
-    Given, Guard, Requirements, admit_state, begin_recording, run_info, run_recorded,
+    Given, Guard, Requirements, admit_state, begin_recording, open_law, run_info, run_recorded,
     simulation_must_fit,
 };
-use crate::scene::CalibratedStep;
-use crate::statistics::conservation;
+use crate::scene::{CalibratedStep, Law};
+use crate::statistics::{Turbulence, conservation};
 use crate::trade::calibrate_step;
 use crate::{Flow, Result, Scene};
 
@@ -28,6 +28,9 @@ pub(super) struct Arguments {
     /// A shipped scene (inverse-3d, inverse-2d, node-3d, …) or a .toml file.
     #[arg(default_value = "inverse-3d")]
     scene: String,
+    /// Let a learned law move the particles: the recording of a training, or a law that `export-law` wrote.
+    #[arg(long, value_name = "LEARNED.mcap|LAW.toml")]
+    law: Option<PathBuf>,
     /// Go on from a frame of a recording instead of the scene's initial state.
     #[arg(long, value_name = "FILE.mcap")]
     from: Option<PathBuf>,
@@ -65,6 +68,11 @@ struct Report {
     ns_per_particle_step: f64,
     momentum_drift: f64,
     energy_drift: f64,
+    /// Whether the flow at the end is turbulent; none for one at rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    turbulence: Option<Turbulence>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    law: Option<String>,
     bytes_per_particle: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     chosen: Option<CalibratedStep>,
@@ -79,6 +87,9 @@ pub(super) fn execute(arguments: &Arguments) -> ExitCode {
     let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
     common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
     conclude(common.open(&arguments.scene).and_then(|mut scene| {
+        if let Some(path) = &arguments.law {
+            scene = moved_by(scene, path, &common.overrides)?;
+        }
         scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
         if arguments.common.print_scene {
             say(scene.to_toml());
@@ -115,6 +126,7 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         let found = Requirements::of_flow(scene, &mut flow, true);
         return explain(&[found], arguments.common.json);
     }
+    scene.law.iter().for_each(|law| describe_law(law, scene));
     let steps = scene.time.steps;
     let begin = |output: &Output| {
         begin_recording(output.clone(), (&run_info(scene, "simulate"), scene), flow.time())
@@ -135,6 +147,10 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
     let outcome = run_recorded(&mut flow, (steps, &scene.record), target, &mut |_| bar.inc(1));
     let seconds = clock.elapsed().as_secs_f64();
     bar.finish_and_clear();
+    let turbulence = outcome.is_ok().then(|| Turbulence::of(scene, &mut flow)).flatten();
+    if let (Some(recorder), Some(found)) = (&mut recorder, &turbulence) {
+        recorder.log(Level::Info, flow.time(), format!("{found}: {}", found.verdict()))?;
+    }
     let concluded = recorder.map(|recorder| recorder.conclude(&outcome)).transpose();
     // The run can be continued from the last recorded frame.
     let recorded = flow.steps() - flow.steps() % scene.record.every.max(1);
@@ -151,12 +167,35 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
         ns_per_particle_step: 1e9 * seconds / (particles as f64 * steps.max(1) as f64),
         momentum_drift: drift.sum::<f64>().sqrt(),
         energy_drift: (after.total_energy - before.total_energy) / before.total_energy,
+        turbulence,
+        law: scene.law.as_ref().map(|law| law.name.clone()),
         bytes_per_particle: flow.bytes_per_particle().iter().map(|(_, bytes)| bytes).sum(),
         chosen: scene.chosen,
         recording: output.map(|output| output.path().to_owned()),
     };
     describe(&report);
     if arguments.common.json { say_json(&report) } else { Ok(()) }
+}
+
+/// The scene with the law of a file.
+fn moved_by(scene: Scene, path: &Path, overrides: &[String]) -> Result<Scene> {
+    let law = open_law(path)?;
+    Scene::leave_to_law(&law, overrides)?;
+    scene.with_law(law)
+}
+
+/// Says which law moves the particles, and to what it is tied.
+fn describe_law(law: &Law, scene: &Scene) {
+    let there = &law.learned;
+    say(format!(
+        "law {} ({}), learned over {} steps of {} particles to a loss of {:.2e}",
+        law.name,
+        law.model.kind(),
+        there.steps,
+        there.particles,
+        there.loss
+    ));
+    law.remarks(scene).iter().for_each(|text| warn(text));
 }
 
 /// The recording's path, if one is written.
@@ -166,7 +205,8 @@ fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>
     }
     let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
     let path = arguments.record.as_ref().unwrap_or(&default);
-    let inputs = [Some(Path::new(&arguments.scene)), arguments.from.as_deref()];
+    let inputs =
+        [Some(Path::new(&arguments.scene)), arguments.from.as_deref(), arguments.law.as_deref()];
     let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
     let overwrite = Some(arguments.overwrite);
     let guard = Guard { command: "simulate", inputs: &inputs, overwrite, ..Guard::default() };
@@ -196,6 +236,10 @@ fn describe(report: &Report) {
         "momentum drift {:.1e}, energy drift {:+.2e} of the total, {:.0} bytes per particle",
         report.momentum_drift, report.energy_drift, report.bytes_per_particle
     ));
+    if let Some(found) = &report.turbulence {
+        say(found);
+        say(found.verdict());
+    }
     if let Some(path) = &report.recording {
         say(format!("recorded in {}", path.display()));
     }
