@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 
 #[cfg(feature = "laboratory")]
+pub mod advise;
+#[cfg(feature = "laboratory")]
 pub mod arrays;
 pub mod cells;
 pub mod chunk;

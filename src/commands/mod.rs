@@ -54,6 +54,7 @@ macro_rules! commands {
 }
 
 commands! {
+    advise::Advise = "advise";
     train::Train = "train";
     simulate::Simulate = "simulate";
     import::Import = "import";
