@@ -44,6 +44,10 @@ pub fn law_of_recording(path: &Path) -> Result<Law> {
     let mut law = Law::learned_in(&scene, &names, &last.parameters);
     law.learned.recording = place;
     (law.learned.loss, law.learned.iterations) = (last.loss, last.iteration);
+    if last.window > 0 {
+        // The loss is that of the last window.
+        law.learned.steps = last.window * learn.every;
+    }
     if let Some(knowledge) = knowledge_in(&recording) {
         law.standard_error = knowledge.standard_error;
         law.learned.doubts = knowledge.doubts;
