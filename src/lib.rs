@@ -15,7 +15,13 @@
 
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]
+pub mod advise;
+#[cfg(feature = "laboratory")]
+#[doc(hidden)]
 pub mod arrays;
+#[cfg(feature = "laboratory")]
+#[doc(hidden)]
+pub mod commands;
 
 pub mod error;
 #[cfg(feature = "laboratory")]

@@ -600,7 +600,10 @@ fn a_folder_that_is_not_there_is_a_failure_of_the_run() {
 fn help_names_every_option() {
     let scene = ["--set", "--seed", "--threads", "--json", "--print-scene", "--explain"];
     let place = Place::new();
-    let commands: [(&str, &[&str]); 7] = [
+    let commands: [(&str, &[&str]); 10] = [
+        ("whirls", &["train", "simulate", "advise", "completions", "man"]),
+        ("advise", &["--reynolds", "--mach", "--particles", "--write", "--no-measure", "--json"]),
+        ("export-law", &["--out", "--overwrite", "--json"]),
         (
             "train",
             &[
@@ -614,7 +617,10 @@ fn help_names_every_option() {
                 "--live",
             ],
         ),
-        ("simulate", &["--from", "--frame", "--steps", "--accuracy", "--record", "--overwrite"]),
+        (
+            "simulate",
+            &["--law", "--from", "--frame", "--steps", "--accuracy", "--record", "--overwrite"],
+        ),
         (
             "import",
             &[
@@ -677,7 +683,8 @@ fn help_names_every_option() {
 #[test]
 fn version_begins_with_the_name_of_the_command() {
     let place = Place::new();
-    for command in ["train", "simulate", "import", "replay", "evaluate", "reproduce", "trade"] {
+    let all = ["train", "simulate", "import", "replay", "evaluate", "reproduce", "trade"];
+    for command in all.into_iter().chain(["whirls", "advise", "export-law"]) {
         let version = place.run(command, &["--version"]).out;
         assert_eq!(version.trim_end(), format!("{command} {}", env!("CARGO_PKG_VERSION")));
     }

@@ -114,17 +114,20 @@ impl<const D: usize> Flow<D> {
         Self::from_state(scene, &flow.state())
     }
 
-    /// The flow of a scene from a given state, with the scene's own law: the truth.
+    /// The flow of a scene from a given state, with the scene's own law, Eq. (7) or a learned one: the truth.
     pub fn from_state(scene: &Scene, state: &State<D>) -> Result<Self> {
         Self::must_fit(scene)?;
-        Self::assemble(Request {
+        let choice = scene.law.as_ref().map_or(ModelChoice::Physics, |law| law.model.clone());
+        let mut flow = Self::assemble(Request {
             scene: scene.clone(),
-            model: Source::Scene(ModelChoice::Physics),
+            model: Source::Scene(choice),
             state: state.clone(),
             differentiation: None,
             observations: None,
             adjoint: false,
-        })
+        })?;
+        scene.law.iter().try_for_each(|law| law.set(&mut flow))?;
+        Ok(flow)
     }
 
     /// The flow of the model that a scene learns, with forward sensitivities, observations, or

@@ -84,7 +84,18 @@ impl<const D: usize> Learner<D> {
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
         windows.push(self.frames);
+        let mut learned = None;
         for window in windows {
+            let used_up = search.index >= search.first + self.learn.iterations;
+            if let (true, Some(before)) = (used_up, learned.take()) {
+                search.remarks.push(format!(
+                    "all {} iterations (learn.iterations) were used up over the first {before} of {} frames: nothing \
+                     was learned from the later ones",
+                    self.learn.iterations, self.frames
+                ));
+            } else if !used_up {
+                learned = Some(window);
+            }
             self.stage(&mut search, window, watch)?;
         }
         self.reach_farther(&mut search, watch)?;

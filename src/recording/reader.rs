@@ -154,6 +154,11 @@ impl Recording {
         Ok(kept.into_iter().map(Conservation::from).collect())
     }
 
+    /// The bytes of an attachment of at most 65536 bytes; none where there is none of that name.
+    pub fn attachment(&self, name: &str) -> Option<&[u8]> {
+        self.source.attachments.get(name).map(Vec::as_slice)
+    }
+
     /// The log.
     ///
     /// # Errors

@@ -14,8 +14,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::walk::Walk;
 use super::wire::{
-    Bytes, ChannelRecord, ChunkHead, HEAD, MAGIC, MessageRecord, SchemaRecord, message_index,
-    opcode,
+    Bytes, ChannelRecord, ChunkHead, HEAD, MAGIC, MessageRecord, SchemaRecord, attachment,
+    message_index, opcode,
 };
 use super::{DAMAGED, RUN};
 use crate::output::readable;
@@ -28,6 +28,12 @@ pub(super) const LARGEST_CHUNK: usize = 1 << 30;
 /// its bytes in the file.
 const FREE_BYTES: usize = 1 << 20;
 const EXPANSION: usize = 1024;
+
+/// Size of an attachment that is kept, in bytes, maximum; larger ones are skipped.
+const LARGEST_ATTACHMENT: u64 = 1 << 16;
+
+/// Number of attachments that are kept, maximum.
+const MOST_ATTACHMENTS: usize = 16;
 
 /// Position of a chunk record, and the log times of each channel's messages in it.
 #[derive(Clone, Debug)]
@@ -54,6 +60,8 @@ pub(super) struct McapReader {
     pub(super) channels: BTreeMap<u16, ChannelRecord>,
     pub(super) schemas: BTreeMap<u16, SchemaRecord>,
     pub(super) record: Option<BTreeMap<String, String>>,
+    /// Small attachments by name.
+    pub(super) attachments: BTreeMap<String, Vec<u8>>,
     pub(super) truncated: bool,
 }
 
@@ -74,6 +82,7 @@ impl McapReader {
             channels: BTreeMap::new(),
             schemas: BTreeMap::new(),
             record: None,
+            attachments: BTreeMap::new(),
             truncated: true,
         };
         while let Some((code, length)) = walk.head()? {
@@ -110,6 +119,14 @@ impl McapReader {
                 let place = walk.at;
                 let body = walk.body(length)?.unwrap_or_default();
                 self.read_record(code, &body).ok_or_else(|| self.malformed(place))
+            }
+            opcode::ATTACHMENT
+                if length <= LARGEST_ATTACHMENT && self.attachments.len() < MOST_ATTACHMENTS =>
+            {
+                let body = walk.body(length)?.unwrap_or_default();
+                // A damaged attachment is none: particles and parameters do not depend on it.
+                self.attachments.extend(attachment(&body));
+                Ok(())
             }
             _ => walk.skip(length),
         }

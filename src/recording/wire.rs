@@ -16,7 +16,18 @@ pub(super) mod opcode {
     pub(in super::super) const MESSAGE: u8 = 0x05;
     pub(in super::super) const CHUNK: u8 = 0x06;
     pub(in super::super) const MESSAGE_INDEX: u8 = 0x07;
+    pub(in super::super) const ATTACHMENT: u8 = 0x09;
     pub(in super::super) const METADATA: u8 = 0x0C;
+}
+
+/// Name and data of an attachment record: two times, name, media type, data after their length, checksum.
+pub(super) fn attachment(body: &[u8]) -> Option<(String, Vec<u8>)> {
+    let mut bytes = Bytes(body);
+    bytes.take(16)?;
+    let name = bytes.text()?;
+    bytes.block()?;
+    let length = usize::try_from(bytes.u64()?).ok()?;
+    Some((name, bytes.take(length)?.to_vec()))
 }
 
 /// A record's bytes, read from the front; `None` where there are too few.

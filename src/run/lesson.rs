@@ -46,7 +46,9 @@ impl<const D: usize> Lesson<D> {
                 let parameters = scene.parameters();
                 let known = learn.parameters.iter().filter_map(|p| parameters.get(p)).collect();
                 let truth = Truth::generate(scene, (learn.after, learn.frames))?;
-                let (known, warnings) = (Some(known), Vec::new());
+                // A learned law has no true values of another model's parameters.
+                let is_known = scene.law.as_ref().is_none_or(|law| law.model == learn.model);
+                let (known, warnings) = (is_known.then_some(known), Vec::new());
                 Self { learn, truth, known, seconds: 0.0, origin: None, warnings }
             }
         };

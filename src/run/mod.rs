@@ -4,6 +4,7 @@ pub mod door;
 mod evaluated;
 mod guard;
 mod import;
+mod law;
 mod learned;
 mod lesson;
 mod memory;
@@ -17,6 +18,7 @@ pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};
 pub use import::{Import, Imported, Origins};
+pub use law::{law_of_recording, open_law};
 pub use learned::{Losses, Seconds, TrainingReport};
 pub use lesson::{Lesson, calibrate_training};
 pub use memory::{

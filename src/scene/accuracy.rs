@@ -69,8 +69,8 @@ impl std::fmt::Display for CalibratedStep {
         let step = step.name();
         write!(
             f,
-            "accuracy {accuracy:e} asked for, {step} in steps of {dt} chosen: error {error:.1e}, \
-             cost {cost} of the scene as written"
+            "accuracy {accuracy:e} asked for: {step} in steps of {dt}, error {error:.2e}, {cost} times the cost of the \
+             scene as written"
         )
     }
 }

@@ -175,6 +175,12 @@ impl Scene {
             (positive(f.gamma), "fluid.gamma", "a positive exponent", show(f.gamma)),
             (f.alpha >= 0.0 && f.alpha.is_finite(), "fluid.alpha", "zero or more", show(f.alpha)),
             (f.beta >= 0.0 && f.beta.is_finite(), "fluid.beta", "zero or more", show(f.beta)),
+            (
+                self.law.as_ref().is_none_or(|law| law.dimension == self.dimension),
+                "law",
+                "a law in as many dimensions as the scene",
+                format!("{} dimensions", self.law.as_ref().map_or(0, |law| law.dimension)),
+            ),
             (f.p0.is_finite(), "fluid.p0", "a number", show(f.p0)),
             (
                 f.viscosity.is_none_or(|v| v.nu() >= 0.0 && v.nu().is_finite()),

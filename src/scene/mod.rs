@@ -10,12 +10,15 @@ mod accuracy;
 mod check;
 mod check_learn;
 mod guests;
+mod law;
 mod learn;
 mod read;
+mod suggest;
 
 pub use accuracy::{CalibratedStep, Speed};
 pub(crate) use check::Requirement;
 pub use guests::{Guests, Values};
+pub use law::{Constants, Law, Provenance};
 pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use read::{SHIPPED, Shipped};
 
@@ -80,6 +83,10 @@ pub struct Scene {
     /// Their code.
     #[serde(skip)]
     pub guests: Guests,
+    /// A learned law that moves the flow in place of Eq. (7); in a file also the path of a law, relative to the file.
+    /// The constants of `fluid` are then those of the law.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub law: Option<Box<Law>>,
     /// The time integration.
     pub time: Time,
     /// The training; a scene without it only simulates.

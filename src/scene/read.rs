@@ -1,6 +1,7 @@
 //! Reads a [`Scene`] from TOML text, shipped or from a file, with overrides, and checks it.
 
-use super::Scene;
+use super::suggest::{meant, nearest};
+use super::{Constants, Law, Scene};
 use crate::error::{Error, Result};
 use crate::files;
 use std::path::Path;
@@ -104,31 +105,36 @@ impl Scene {
     /// A shipped scene by name or a file by path, with `key=value` overrides of any key, dots
     /// between the levels: `fluid.alpha=2`.
     pub fn open(name_or_path: &str, overrides: &[String]) -> Result<Self> {
+        overrides.iter().try_for_each(|assignment| parts(assignment).map(drop))?;
         if let Some(shipped) = SHIPPED.iter().find(|shipped| shipped.name == name_or_path) {
             let origin = format!("shipped scene {}", shipped.name);
-            return Self::assigned(shipped.text, Some(shipped), (&origin, overrides));
+            return Self::assigned((shipped.text, None), Some(shipped), (&origin, overrides));
         }
         let path = Path::new(name_or_path);
         let names: Vec<&str> = SHIPPED.iter().map(|shipped| shipped.name).collect();
         if path.extension().is_none() && !path.exists() {
+            let meant = nearest(name_or_path, names.iter().copied());
             return Err(Error::input(
                 format!("scene '{name_or_path}'"),
                 format!("a shipped scene ({}) or a path to a .toml file", names.join(", ")),
                 "neither",
-                "check the spelling",
+                meant.map_or("check the spelling".to_owned(), |name| {
+                    format!("did you mean {name}?")
+                }),
             ));
         }
-        Self::parse(&text_of(path)?, name_or_path, overrides)
+        let text = text_of(path, "a scene")?;
+        Self::assigned((&text, path.parent()), None, (name_or_path, overrides))
     }
 
     /// A scene from TOML text; `origin` names the text in errors.
     pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Self> {
-        Self::assigned(text, None, (origin, overrides))
+        Self::assigned((text, None), None, (origin, overrides))
     }
 
-    /// The scene of a text, with the overrides of a shipped scene and of the caller.
+    /// The scene of a text in a folder, with the overrides of a shipped scene and of the caller.
     fn assigned(
-        text: &str,
+        (text, folder): (&str, Option<&Path>),
         shipped: Option<&Shipped>,
         (origin, overrides): (&str, &[String]),
     ) -> Result<Self> {
@@ -139,12 +145,14 @@ impl Scene {
             table.insert("name".to_owned(), shipped.name.into());
         }
         must_say_one_width(&table, &origin)?;
+        law_beside(&mut table, folder);
         let own = shipped.map_or(&[][..], |shipped| shipped.overrides);
         for assignment in own.iter().copied().chain(overrides.iter().map(String::as_str)) {
             assign(&mut table, assignment)?;
         }
+        let has_law = resolve_law(&mut table, (&origin, overrides))?;
         let resolved = resolve_sides(&mut table) | resolve_width(&mut table, &origin)?;
-        if resolved || !(own.is_empty() && overrides.is_empty()) {
+        if resolved || has_law || !(own.is_empty() && overrides.is_empty()) {
             // Serialised again, so that an error can quote the current line.
             text = table.to_string();
         }
@@ -163,15 +171,26 @@ impl Scene {
     /// The scene as TOML text, which [`Scene::parse`] reads back equal.
     pub fn to_toml(&self) -> String {
         // A scene holds only strings, numbers and tables: TOML can always write it.
-        toml::to_string(self).unwrap_or_default()
+        with_exponents(&toml::to_string(self).unwrap_or_default())
     }
 }
 
-/// The text of a file.
-fn text_of(path: &Path) -> Result<String> {
+/// Numbers below which a digit would stand after three zeros, with an exponent: `target = 1e-26`.
+pub(super) fn with_exponents(text: &str) -> String {
+    let line = |line: &str| {
+        let (key, value) = line.split_once(" = ")?;
+        let number: f64 = value.parse().ok().filter(|x: &f64| *x != 0.0 && x.abs() < 1e-3)?;
+        Some(format!("{key} = {number:e}\n"))
+    };
+    let each = |own: &str| line(own).unwrap_or_else(|| format!("{own}\n"));
+    text.lines().map(each).collect()
+}
+
+/// The text of a file, which is `what`.
+pub(super) fn text_of(path: &Path, what: &str) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
     let refuse = |found: &str, remedy: &str| {
-        Err(Error::input(path.display(), "a scene: a text file in TOML", found, remedy))
+        Err(Error::input(path.display(), format!("{what}: a text file in TOML"), found, remedy))
     };
     match (files::kind(&bytes), String::from_utf8(bytes)) {
         (Some(kind), _) => refuse(kind.name(), kind.instead_of_a_scene()),
@@ -190,7 +209,60 @@ fn refused(origin: &str, text: &str, error: &toml::de::Error) -> Error {
         }
         None => origin.to_owned(),
     };
-    Error::input(place, "a scene as the manual describes it", message, "correct this line")
+    let remedy = match meant(&message) {
+        Some(name) => format!("did you mean `{name}`?"),
+        None => "correct this line".to_owned(),
+    };
+    Error::input(place, "a scene, whose keys --print-scene shows", message, remedy)
+}
+
+/// Key and value of an override.
+fn parts(assignment: &str) -> Result<(&str, &str)> {
+    assignment.split_once('=').ok_or_else(|| {
+        Error::input(
+            format!("--set {assignment}"),
+            "key=value, such as fluid.alpha=2",
+            "no '='",
+            "write the key, an equals sign and the value",
+        )
+    })
+}
+
+/// The path of a law in a scene's file, taken from the folder of the file.
+fn law_beside(table: &mut Table, folder: Option<&Path>) {
+    if let (Some(Value::String(path)), Some(folder)) = (table.get_mut("law"), folder) {
+        *path = folder.join(&*path).display().to_string();
+    }
+}
+
+/// Puts a law in place of its path, and its constants into the fluid; whether the scene has a law.
+fn resolve_law(table: &mut Table, (origin, overrides): (&str, &[String])) -> Result<bool> {
+    let law = match table.get("law") {
+        None => return Ok(false),
+        Some(Value::String(path)) => Law::open(Path::new(path))?,
+        Some(own) => Law::of_table(own, &format!("{origin}: law"))?,
+    };
+    Scene::leave_to_law(&law, overrides)?;
+    let of = |value: std::result::Result<Value, toml::ser::Error>| {
+        value.map_err(|error| {
+            Error::input(origin, "a law that TOML can hold", error, "export it again")
+        })
+    };
+    let Constants { c, alpha, beta, gamma, p0 } = law.constants;
+    let fluid = table.entry("fluid").or_insert_with(|| Value::Table(Table::new()));
+    if let Value::Table(fluid) = fluid {
+        let numbers = [("c", c), ("alpha", alpha), ("beta", beta), ("gamma", gamma), ("p0", p0)];
+        for (key, number) in numbers {
+            fluid.insert(key.to_owned(), Value::Float(number));
+        }
+        fluid.insert("kernel".to_owned(), of(Value::try_from(law.kernel))?);
+        match law.viscosity {
+            Some(own) => drop(fluid.insert("viscosity".to_owned(), of(Value::try_from(own))?)),
+            None => drop(fluid.remove("viscosity")),
+        }
+    }
+    table.insert("law".to_owned(), of(Value::try_from(law))?);
+    Ok(true)
 }
 
 /// The key in a message about an unknown key.
@@ -214,14 +286,7 @@ fn line_of(text: &str, place: usize, key: Option<&str>) -> usize {
 /// Sets `key=value` in a table, where the value is parsed as TOML if possible and is text
 /// otherwise.
 fn assign(table: &mut Table, assignment: &str) -> Result<()> {
-    let Some((key, value)) = assignment.split_once('=') else {
-        return Err(Error::input(
-            format!("--set {assignment}"),
-            "key=value, such as fluid.alpha=2",
-            "no '='",
-            "write the key, an equals sign and the value",
-        ));
-    };
+    let (key, value) = parts(assignment)?;
     let parsed = toml::from_str::<Table>(&format!("value = {value}")).ok();
     let value = parsed
         .and_then(|mut table| table.remove("value"))

@@ -6,6 +6,8 @@ mod increments;
 #[cfg(feature = "laboratory")]
 mod spectrum;
 mod structure;
+#[cfg(feature = "laboratory")]
+mod turbulence;
 
 #[cfg(feature = "laboratory")]
 pub(crate) use conservation::conservation_of;
@@ -15,6 +17,8 @@ pub use increments::Moments;
 #[cfg(feature = "laboratory")]
 pub use spectrum::energy_spectrum;
 pub use structure::{Structure, structure_functions};
+#[cfg(feature = "laboratory")]
+pub use turbulence::{Turbulence, ViscosityOf, acting_viscosity};
 
 use crate::flow::Flow;
 use crate::models::FluidConstants;

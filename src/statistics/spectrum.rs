@@ -15,23 +15,64 @@ pub fn energy_spectrum<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>])
     if (0..D).any(|axis| !mesh.space.is_periodic(axis)) {
         return Vec::new();
     }
-    let longest = mesh.space.longest::<D>();
-    let unit: [f64; D] = std::array::from_fn(|axis| longest / mesh.space.side(axis));
+    let unit = units(mesh);
     // The longest wave vector has n/2 along every axis.
     let square = |axis: usize| (mesh.per_axis[axis] as f64 * unit[axis]).powi(2);
     let shells = (0.5 * (0..D).map(square).sum::<f64>().sqrt()).round() as usize + 1;
     let mut energy = vec![0.0; shells];
+    each_mode(mesh, field, |kappa, own| {
+        let k = kappa.round() as usize;
+        energy[k.min(shells - 1)] += own;
+    });
+    energy
+}
+
+/// Sums over the modes of a velocity field in a periodic box, wavenumbers in units of `2π/L` of the longest axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct ModeSums {
+    /// `½⟨|u − ū|²⟩`.
+    pub(super) energy: f64,
+    /// `½ Σ |κ|² |û|²`, half the mean square of the vorticity of an incompressible flow.
+    pub(super) square_gradient: f64,
+    /// `½ Σ |û|²/|κ|`, without the mean.
+    pub(super) over_wavenumber: f64,
+}
+
+/// The sums of a velocity field.
+pub(super) fn mode_sums<const D: usize>(mesh: &Mesh<D>, field: &[Vector<f64, D>]) -> ModeSums {
+    let mut sums = ModeSums::default();
+    each_mode(mesh, field, |kappa, own| {
+        if kappa > 0.0 {
+            sums.energy += own;
+            sums.square_gradient += kappa * kappa * own;
+            sums.over_wavenumber += own / kappa;
+        }
+    });
+    sums
+}
+
+/// The wavenumber of the first mode along each axis, in units of `2π/L` of the longest.
+fn units<const D: usize>(mesh: &Mesh<D>) -> [f64; D] {
+    let longest = mesh.space.longest::<D>();
+    std::array::from_fn(|axis| longest / mesh.space.side(axis))
+}
+
+/// Calls `each` with `|κ|` and `½|û_a|²` of every mode and component.
+fn each_mode<const D: usize>(
+    mesh: &Mesh<D>,
+    field: &[Vector<f64, D>],
+    mut each: impl FnMut(f64, f64),
+) {
+    let unit = units(mesh);
     let mut planner = FftPlanner::new();
     for axis in 0..D {
         let mut modes: Vec<Complex<f64>> =
             field.iter().map(|u| Complex::new(u[axis], 0.0)).collect();
         transform(mesh, &mut planner, &mut modes);
         for (index, mode) in modes.iter().enumerate() {
-            let k = wavenumber(mesh.per_axis, unit, index).round() as usize;
-            energy[k.min(shells - 1)] += 0.5 * mode.norm_sqr();
+            each(wavenumber(mesh.per_axis, unit, index), 0.5 * mode.norm_sqr());
         }
     }
-    energy
 }
 
 /// `|κ|` of the mode at an index, where the first mode along each axis has the wavenumber `unit`.

@@ -59,6 +59,9 @@ impl Place {
 
     pub(crate) fn command(&self, binary: &str, arguments: &[&str]) -> Command {
         let program = match binary {
+            "whirls" => env!("CARGO_BIN_EXE_whirls"),
+            "advise" => env!("CARGO_BIN_EXE_advise"),
+            "export-law" => env!("CARGO_BIN_EXE_export-law"),
             "train" => env!("CARGO_BIN_EXE_train"),
             "simulate" => env!("CARGO_BIN_EXE_simulate"),
             "import" => env!("CARGO_BIN_EXE_import"),

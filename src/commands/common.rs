@@ -1,9 +1,9 @@
 //! Common to all commands: output, the JSON line, exit codes.
 
+use crate::{Error, Result, interrupt};
 use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::OnceLock;
-use whirls::{Error, Result, interrupt};
 
 /// The error of standard output; none where its reader has only closed the pipe.
 static UNSAID: OnceLock<io::Error> = OnceLock::new();
@@ -58,7 +58,6 @@ pub(crate) fn say_json(report: &impl serde::Serialize) -> Result<()> {
 }
 
 /// Prints a warning on standard error.
-#[allow(dead_code, reason = "not every command warns")]
 #[expect(clippy::print_stderr, reason = "a command warns here")]
 pub(crate) fn warn(text: &str) {
     eprintln!("warning: {text}");

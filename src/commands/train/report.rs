@@ -1,8 +1,8 @@
 //! The final report of `train`, in words.
 
-use crate::common::say;
-use whirls::parameters::Parameter;
-use whirls::run::{Losses, TrainingReport};
+use crate::commands::common::say;
+use crate::parameters::Parameter;
+use crate::run::{Losses, TrainingReport};
 
 /// Prints a report in words.
 pub(crate) fn describe(report: &TrainingReport) {

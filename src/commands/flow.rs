@@ -1,6 +1,6 @@
 //! Common to commands that run flows: progress, dimension.
 
-use crate::meter::Meter;
+use super::meter::Meter;
 
 /// A meter with rate and estimate; of length zero where the work is unknown.
 pub(crate) fn progress(length: u64, what: &'static str) -> Meter {

@@ -1,13 +1,13 @@
 //! Common to commands with a scene: options, explanation.
 
-use crate::common::warn;
-use crate::common::{say, say_json};
+use super::common::warn;
+use super::common::{say, say_json};
+use crate::output::{Output, leftovers, readable, same_file};
+use crate::run::{Guard, Requirements};
+use crate::trade::{CALIBRATION, Choice, Trial};
+use crate::{Result, Scene};
 use clap::Args;
 use std::path::Path;
-use whirls::output::{Output, leftovers, readable, same_file};
-use whirls::run::{Guard, Requirements};
-use whirls::trade::{CALIBRATION, Choice, Trial};
-use whirls::{Result, Scene};
 
 /// Options that every command with a scene takes.
 #[derive(Args, Clone, Debug)]
@@ -24,7 +24,7 @@ pub(crate) struct SceneArguments {
     /// Print one JSON object as the last line of standard output.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Print the scene with all its keys, and stop.
+    /// Print the scene as it runs, with the defaults of the keys that it leaves out, and stop.
     #[arg(long)]
     pub(crate) print_scene: bool,
     /// Print what the scene schedules and how much memory it takes, and stop.
@@ -46,7 +46,6 @@ impl SceneArguments {
 
 /// Reserves a recording's name before any work; an unfinished file of an earlier run is kept, and
 /// reported.
-#[allow(dead_code, reason = "trade writes a folder")]
 pub(crate) fn reserve(guard: &Guard<'_>, path: &Path) -> Result<Output> {
     let output = guard.reserve(path)?;
     let resumed =
@@ -67,7 +66,7 @@ pub(crate) fn describe_choice(choice: &Choice, explain: bool) {
     let line = |trial: &Trial| {
         let Trial { step, dt, cost, error } = trial;
         let name = step.name();
-        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.1e}") };
+        let held = if error.is_nan() { "does not hold".to_owned() } else { format!("{error:.2e}") };
         format!("{name:15} dt {dt:.6}  cost {cost:6.3}  error {held}")
     };
     if explain && !choice.trials.is_empty() {

@@ -1,17 +1,17 @@
 //! Checks of a gradient: against other modes, and with local coupling.
 
-use crate::common::{say, say_json, warn};
-use crate::flow::progress;
+use crate::commands::common::{say, say_json, warn};
+use crate::commands::flow::progress;
 use serde::Serialize;
 use std::time::Instant;
-use whirls::learn::{Evaluation, Learner};
-use whirls::run::Lesson;
-use whirls::scene::Optimiser;
-use whirls::sensitivity::{
+use crate::learn::{Evaluation, Learner};
+use crate::run::Lesson;
+use crate::scene::Optimiser;
+use crate::sensitivity::{
     ComparedSlope, Coupling, Gradient, Growth, SHORTEN, USEFUL, compare_along_gradient,
     compare_component, sensitivity_growth,
 };
-use whirls::{Error, Result, Scene};
+use crate::{Error, Result, Scene};
 
 /// Number of parameters, maximum, up to which each has a line; if there are more, only the
 /// [`LARGEST`] components have one.
@@ -211,7 +211,7 @@ struct CouplingReport {
     model: &'static str,
     particles: usize,
     parameters: usize,
-    loss: whirls::scene::Weights,
+    loss: crate::scene::Weights,
     horizons: Vec<Horizon>,
 }
 

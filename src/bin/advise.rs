@@ -1,0 +1,7 @@
+//! The command `advise`: `whirls::commands::advise`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    whirls::commands::advise()
+}
