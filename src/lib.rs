@@ -49,6 +49,8 @@ pub mod statistics;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 #[cfg(feature = "laboratory")]
+pub mod tables;
+#[cfg(feature = "laboratory")]
 pub mod trade;
 pub mod truth;
 pub mod vector;
