@@ -8,6 +8,8 @@ pub mod chunk;
 pub mod error;
 #[cfg(feature = "laboratory")]
 pub mod evaluation;
+#[cfg(feature = "laboratory")]
+pub mod export;
 #[cfg_attr(
     not(feature = "laboratory"),
     allow(dead_code, reason = "readers of recordings and arrays use it")
