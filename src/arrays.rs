@@ -53,27 +53,7 @@ impl Array {
         place: impl ToString,
     ) -> Result<Self> {
         let place = place.to_string();
-        let otherwise = |(found, remedy): (String, &str)| {
-            let expected = format!("a .npy array of f32 or f64 with {rank} axes");
-            Error::input(&place, expected, found, remedy)
-        };
-        let refuse = |found: String| otherwise((found, SAVE));
-        let header = Header::read(&mut reader, bytes).map_err(otherwise)?;
-        let Header { shape, kind, fortran, length } = header;
-        let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
-        let wanted = count.and_then(|count| (kind.bytes as u64).checked_mul(count as u64));
-        let held = bytes - length;
-        if wanted != Some(held) || shape.len() != rank || held == 0 {
-            return Err(refuse(format!("shape {shape:?} and {held} bytes of numbers")));
-        }
-        let mut values = Vec::with_capacity(count.unwrap_or(0));
-        let mut number = [0; 8];
-        for _ in 0..values.capacity() {
-            let bytes = &mut number[..kind.bytes];
-            reader.read_exact(bytes).map_err(|error| refuse(error.to_string()))?;
-            values.push(kind.number(bytes));
-        }
-        let array = Self { shape, values, fortran };
+        let array = Self::numbers((&mut reader, bytes), (Some(rank), Kind::of), &place)?;
         match array.values.iter().position(|x| !x.is_finite()) {
             None => Ok(array),
             Some(at) => {
@@ -83,6 +63,75 @@ impl Array {
                 Err(Error::input(&place, "finite numbers", found, remedy))
             }
         }
+    }
+
+    /// The same with any number of axes, of floating point, whole numbers or truths, finite or not, as
+    /// in a member of an archive. It may have no numbers in it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] as [`Array::open`].
+    pub(crate) fn read_any(
+        (mut reader, bytes): (impl Read, u64),
+        place: impl ToString,
+    ) -> Result<Self> {
+        Self::numbers((&mut reader, bytes), (None, Kind::of_any), &place.to_string())
+    }
+
+    /// Reads header and numbers; `kind` knows the types that are accepted.
+    fn numbers(
+        (reader, bytes): (&mut impl Read, u64),
+        (rank, kind): (Option<usize>, KindOf),
+        place: &str,
+    ) -> Result<Self> {
+        let otherwise = |(found, remedy): (String, &str)| {
+            let expected = match rank {
+                Some(rank) => format!("a .npy array of f32 or f64 with {rank} axes"),
+                None => "an array of numbers".to_owned(),
+            };
+            Error::input(place, expected, found, remedy)
+        };
+        let refuse = |found: String| otherwise((found, SAVE));
+        let header = Header::read(reader, bytes, kind).map_err(otherwise)?;
+        let Header { shape, kind, fortran, length } = header;
+        let count = shape.iter().try_fold(1_usize, |count, &n| count.checked_mul(n));
+        let wanted = count.and_then(|count| (kind.bytes as u64).checked_mul(count as u64));
+        let held = bytes - length;
+        let other_rank = rank.is_some_and(|rank| shape.len() != rank || held == 0);
+        if wanted != Some(held) || other_rank {
+            return Err(refuse(format!("shape {shape:?} and {held} bytes of numbers")));
+        }
+        let count = count.unwrap_or(0);
+        // A member of an archive may claim any length.
+        let mut values =
+            Vec::with_capacity(if rank.is_some() { count } else { count.min(1 << 20) });
+        let mut number = [0; 8];
+        for _ in 0..count {
+            let bytes = &mut number[..kind.bytes];
+            reader.read_exact(bytes).map_err(|error| refuse(error.to_string()))?;
+            values.push(kind.number(bytes));
+        }
+        Ok(Self { shape, values, fortran })
+    }
+
+    /// An array of that shape, in C order.
+    #[cfg(feature = "hdf5")]
+    pub(crate) fn new(shape: Vec<usize>, values: Vec<f64>) -> Self {
+        Self { shape, values, fortran: false }
+    }
+
+    /// The header of a `.npy` file of little-endian doubles in C order, with the type `<f8`, or
+    /// `<i8` of whole numbers.
+    pub(crate) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
+        let axes: Vec<String> = shape.iter().map(usize::to_string).collect();
+        let axes = if axes.len() == 1 { format!("{},", axes[0]) } else { axes.join(", ") };
+        let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({axes}), }}");
+        // Padded with blanks to a multiple of 64 bytes, as the format asks for.
+        let padded = (MAGIC.len() + 4 + text.len() + 1).div_ceil(64) * 64 - MAGIC.len() - 4;
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([1, 0]);
+        bytes.extend((padded as u16).to_le_bytes());
+        bytes.extend(format!("{text:<width$}\n", width = padded - 1).bytes());
+        bytes
     }
 
     /// Refuses an array of another shape; `place` names the array in the error.
@@ -147,9 +196,21 @@ fn instead_of(descr: &str) -> &'static str {
     }
 }
 
+/// A class of numbers.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Class {
+    Float,
+    Signed,
+    Unsigned,
+}
+
+/// The kind of a `descr`, if it is accepted.
+type KindOf = fn(&str) -> Option<Kind>;
+
 /// How a number is stored.
 #[derive(Clone, Copy)]
 struct Kind {
+    class: Class,
     bytes: usize,
     big_endian: bool,
 }
@@ -163,15 +224,35 @@ impl Kind {
             _ => return None,
         };
         match bytes {
-            "f4" => Some(Self { bytes: 4, big_endian }),
-            "f8" => Some(Self { bytes: 8, big_endian }),
+            "f4" => Some(Self { class: Class::Float, bytes: 4, big_endian }),
+            "f8" => Some(Self { class: Class::Float, bytes: 8, big_endian }),
             _ => None,
         }
+    }
+
+    /// The same with whole numbers and truths.
+    fn of_any(descr: &str) -> Option<Self> {
+        let (order, rest) = (descr.get(..1)?, descr.get(1..)?);
+        let class = match rest.get(..1)? {
+            "f" => return Self::of(descr),
+            "i" => Class::Signed,
+            "u" | "b" => Class::Unsigned,
+            _ => return None,
+        };
+        let bytes = rest.get(1..)?.parse().ok().filter(|bytes| matches!(bytes, 1 | 2 | 4 | 8))?;
+        matches!(order, "<" | ">" | "|").then_some(Self { class, bytes, big_endian: order == ">" })
     }
 
     fn number(self, bytes: &mut [u8]) -> f64 {
         if self.big_endian {
             bytes.reverse();
+        }
+        if self.class != Class::Float {
+            let negative = self.class == Class::Signed && bytes.last().is_some_and(|b| b >> 7 == 1);
+            let mut whole = [if negative { 0xff } else { 0 }; 8];
+            whole[..bytes.len()].copy_from_slice(bytes);
+            let number = i64::from_le_bytes(whole);
+            return if self.class == Class::Signed { number as f64 } else { number as u64 as f64 };
         }
         match (<[u8; 4]>::try_from(&*bytes), <[u8; 8]>::try_from(&*bytes)) {
             (Ok(single), _) => f64::from(f32::from_le_bytes(single)),
@@ -196,9 +277,10 @@ impl Header {
     fn read(
         reader: &mut impl Read,
         bytes: u64,
+        kind: KindOf,
     ) -> std::result::Result<Self, (String, &'static str)> {
         let (text, length) = Self::text(reader, bytes)?;
-        if let Some(header) = Self::parse(&text, length) {
+        if let Some(header) = Self::parse(&text, length, kind) {
             return Ok(header);
         }
         Err(Self::descr(&text).map_or_else(
@@ -248,7 +330,7 @@ impl Header {
     }
 
     /// Parses a text such as `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 7, 2), }`.
-    fn parse(text: &str, length: u64) -> Option<Self> {
+    fn parse(text: &str, length: u64, kind: KindOf) -> Option<Self> {
         let text = text.trim().strip_prefix('{')?.strip_suffix('}')?;
         let value = |key: &str| {
             let quoted = ['\'', '"'].map(|quote| format!("{quote}{key}{quote}"));
@@ -257,14 +339,14 @@ impl Header {
         };
         let descr = value("descr")?;
         let quote = descr.chars().next().filter(|c| matches!(c, '\'' | '"'))?;
-        let kind = Kind::of(descr[1..].split(quote).next()?)?;
+        let kind = kind(descr[1..].split(quote).next()?)?;
         let order = value("fortran_order")?;
         let fortran = order.starts_with("True");
         if !fortran && !order.starts_with("False") {
             return None;
         }
         let inside = value("shape")?.strip_prefix('(')?.split_once(')')?.0;
-        let axes = inside.trim().trim_end_matches(',').split(',');
+        let axes = inside.trim().trim_end_matches(',').split(',').filter(|n| !n.is_empty());
         let shape = axes.map(|n| n.trim().parse().ok()).collect::<Option<Vec<usize>>>()?;
         Some(Self { shape, kind, fortran, length })
     }

@@ -69,7 +69,7 @@ impl Kind {
     pub(crate) fn instead_of_an_array(self) -> &'static str {
         match self {
             Self::Zip => {
-                "save one of its arrays by its key: \
+                "import it as a whole, `import FILE.npz`, or save one of its arrays by its key: \
                  `numpy.save('r.npy', numpy.load('FILE.npz')['KEY'])`"
             }
             Self::Mcap => "give a recording of point clouds with --mcap instead",

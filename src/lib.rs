@@ -27,6 +27,9 @@ pub mod error;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]
 pub mod evaluation;
+#[cfg(feature = "laboratory")]
+#[doc(hidden)]
+pub mod export;
 #[cfg_attr(
     not(feature = "laboratory"),
     allow(dead_code, reason = "readers of recordings and arrays use it")
@@ -77,6 +80,9 @@ pub mod state;
 pub mod statistics;
 #[path = "../systems/mod.rs"]
 pub mod systems;
+#[cfg(feature = "laboratory")]
+#[doc(hidden)]
+pub mod tables;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]
 pub mod trade;

@@ -58,6 +58,7 @@ commands! {
     train::Train = "train";
     simulate::Simulate = "simulate";
     import::Import = "import";
+    export::Export = "export";
     export_law::ExportLaw = "export-law";
     evaluate::Evaluate = "evaluate";
     trade::Trade = "trade";

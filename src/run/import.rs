@@ -1,14 +1,14 @@
-//! Makes recordings from the data of other programs: arrays, and point clouds.
+//! Makes recordings from the data of other programs: tables of tracks, arrays, and point clouds.
 
+use super::arrays::Arrays;
 use super::door::{Findings, Kernel, check_itself, misses, sum_where_missing, truth_of};
-use crate::arrays::Array;
 use crate::error::{Error, Result};
-use crate::flow::State;
 use crate::interrupt;
 use crate::kernel::KernelChoice;
 use crate::output::Output;
 use crate::recording::{Clouds, Flow, Frame, Numbered, Recorder, RunInfo};
-use crate::space::Space;
+use crate::space::{Axis, Space};
+use crate::tables::{Statement, Tracks, Watch};
 use crate::truth::Truth;
 use crate::vector::Vector;
 use serde::Serialize;
@@ -33,6 +33,8 @@ pub enum Origins {
         /// The topic; without one, the only topic with point clouds.
         topic: Option<String>,
     },
+    /// A table of tracks.
+    Tracks(Box<Tracks>),
 }
 
 /// An import.
@@ -40,11 +42,15 @@ pub enum Origins {
 pub struct Import {
     /// The source.
     pub from: Origins,
-    /// Time between frames; by default that of the timestamps of point clouds.
+    /// Time between frames; by default that of the timestamps of point clouds, or of a table.
     pub dt: Option<f64>,
-    /// Side of the periodic box.
-    pub box_length: f64,
-    /// Smoothing length of the flow, with which missing densities are summed.
+    /// Sides of the box, one for all axes or one for each, by default `2π`; those of tracks are in
+    /// the table's units, and by default those of the cropped cuboid, or the table's own.
+    pub sides: Vec<f64>,
+    /// Kinds of the axes: none where all are periodic, one for all, or one for each.
+    pub boundary: Vec<Axis>,
+    /// Smoothing length of the flow, with which missing densities are summed; of tracks in the
+    /// table's units.
     pub smoothing_length: Option<f64>,
     /// Kernel of the flow.
     pub kernel: KernelChoice,
@@ -74,6 +80,14 @@ pub struct Imported {
     pub warnings: Vec<String>,
     /// The recording.
     pub recording: PathBuf,
+    /// Sides of the box.
+    pub sides: Vec<f64>,
+    /// Kinds of its axes.
+    pub boundary: Vec<Axis>,
+    /// Largest speed of a particle.
+    pub fastest: f64,
+    /// What was found, kept and dropped of a table of tracks.
+    pub tracks: Option<Statement>,
 }
 
 impl Import {
@@ -83,8 +97,17 @@ impl Import {
     /// [`Error::Input`] for impossible options and for inconsistent data, [`Error::File`] for files
     /// that cannot be read or written.
     pub fn run(&self) -> Result<Imported> {
+        self.run_watched(&mut |_, _, _| {})
+    }
+
+    /// The same with a view of its progress.
+    ///
+    /// # Errors
+    /// As [`Import::run`].
+    pub fn run_watched(&self, watch: Watch<'_>) -> Result<Imported> {
         self.check_options()?;
         match &self.from {
+            Origins::Tracks(tracks) => self.tracks(tracks, watch),
             Origins::Arrays { positions, velocities, densities } => {
                 let arrays = Arrays::open(positions, velocities, densities.as_deref())?;
                 let Some(dt) = self.dt else {
@@ -101,21 +124,37 @@ impl Import {
     }
 
     fn check_options(&self) -> Result<()> {
-        let given = [
-            ("--dt", self.dt),
-            ("--box", Some(self.box_length)),
-            ("--smoothing-length", self.smoothing_length),
-        ];
-        for (name, value) in given {
+        let sides = self.sides.iter().map(|side| ("--box", Some(*side)));
+        let given = [("--dt", self.dt), ("--smoothing-length", self.smoothing_length)];
+        for (name, value) in sides.chain(given) {
             let Some(value) = value else { continue };
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::input(name, "a positive number", value, "give it in box units"));
             }
         }
-        let reach = 2.0 * self.smoothing_length.unwrap_or_default();
-        if reach > 0.5 * self.box_length {
+        match &self.from {
+            // Tracks may bring their own box.
+            Origins::Tracks(_) => Ok(()),
+            _ => self.check_reach(self.plain()),
+        }
+    }
+
+    /// Refuses sides or kinds of axes for another dimension than that of the data.
+    pub(super) fn check_axes(&self, dimension: usize) -> Result<()> {
+        let counts = [("--box", self.sides.len()), ("--boundary", self.boundary.len())];
+        let wrong = counts.into_iter().find(|(_, count)| *count > 1 && *count != dimension);
+        wrong.map_or(Ok(()), |(name, count)| {
+            let expected = format!("one for all axes, or {dimension}");
+            Err(Error::input(name, expected, count, "the data have that many axes"))
+        })
+    }
+
+    pub(super) fn check_reach(&self, setting: Setting) -> Result<()> {
+        let reach = 2.0 * setting.h.unwrap_or_default();
+        let period = setting.space.shortest_period::<3>();
+        if reach > 0.5 * period {
             let expected = "a kernel support 2h of at most half the box";
-            let found = format!("2h = {reach} in a box of {}", self.box_length);
+            let found = format!("2h = {reach} in a box of {period}");
             return Err(Error::input(
                 "--smoothing-length",
                 expected,
@@ -126,10 +165,28 @@ impl Import {
         Ok(())
     }
 
+    /// A box of these sides, and the smoothing length, in units of which one is `length` of the
+    /// recording's.
+    pub(super) fn setting(&self, sides: &[f64], length: f64) -> Setting {
+        let side = |axis: usize| sides.get(axis).or(sides.first()).copied().unwrap_or(1.0);
+        let kind = |axis: usize| self.boundary.get(axis).or(self.boundary.first()).copied();
+        let axes = std::array::from_fn(|axis| kind(axis).unwrap_or_default());
+        let space = Space::new::<3>(std::array::from_fn(side), axes);
+        Setting { space, h: self.smoothing_length.map(|h| h * length) }
+    }
+
+    /// Box and smoothing length as they were given.
+    fn plain(&self) -> Setting {
+        let usual = [std::f64::consts::TAU];
+        self.setting(if self.sides.is_empty() { &usual } else { &self.sides }, 1.0)
+    }
+
     fn arrays<const D: usize>(&self, arrays: &Arrays, dt: f64) -> Result<Imported> {
         let mut findings = Findings::new(arrays.place.clone(), self.force);
         let truth = arrays.truth::<D>(dt, false);
-        let share = |truth: &Truth<D>| self.share(truth);
+        self.check_axes(D)?;
+        let setting = self.plain();
+        let share = |truth: &Truth<D>| share(truth, setting.space);
         if truth.states.len() > 1 && share(&truth) > 0.5 && arrays.positions.shape[1] > 1 {
             let other = share(&arrays.truth::<D>(dt, true));
             if other < 0.1 {
@@ -145,13 +202,7 @@ impl Import {
                 )?;
             }
         }
-        self.write(truth, findings)
-    }
-
-    /// The median deviation of particles from their displacement by velocities, as a share of it.
-    fn share<const D: usize>(&self, truth: &Truth<D>) -> f64 {
-        let found = misses(truth, Space::cube(self.box_length));
-        if found.miss > 0.0 { found.miss / found.way } else { 0.0 }
+        self.write(truth, findings, (setting, dt, Vec::new()))
     }
 
     fn clouds(&self, file: &Path, topic: Option<&str>) -> Result<Imported> {
@@ -178,25 +229,27 @@ impl Import {
         };
         let flat = frames.iter().all(flat);
         let frames = frames.into_iter().map(Ok);
+        self.check_axes(if flat { 2 } else { 3 })?;
+        let how = (self.plain(), dt, Vec::new());
         match flat {
-            true => self.write::<2>(truth_of(frames, &findings)?, findings),
-            false => self.write::<3>(truth_of(frames, &findings)?, findings),
+            true => self.write::<2>(truth_of(frames, &findings)?, findings, how),
+            false => self.write::<3>(truth_of(frames, &findings)?, findings, how),
         }
     }
 
     /// Checks a flow and writes it.
-    fn write<const D: usize>(
+    pub(super) fn write<const D: usize>(
         &self,
         mut truth: Truth<D>,
         mut findings: Findings,
+        (setting, dt, metadata): (Setting, f64, Vec<(&'static str, String)>),
     ) -> Result<Imported> {
-        let space = Space::cube(self.box_length);
+        let space = setting.space;
         check_itself(&truth, space, &mut findings)?;
-        let densities = self.densities(&mut truth, space, &mut findings)?;
-        let dt = truth.states.get(1).map_or(0.0, |second| second.time - truth.states[0].time);
-        let dt = self.dt.unwrap_or(dt);
-        let mut recorder =
-            Recorder::begin(self.out.clone(), &self.run_info(&truth, dt, densities))?;
+        let densities = self.densities(&mut truth, setting, &mut findings)?;
+        let mut info = self.run_info(&truth, setting, (dt, densities));
+        info.metadata.extend(metadata.into_iter().map(|(key, text)| (key.to_owned(), text)));
+        let mut recorder = Recorder::begin(self.out.clone(), &info)?;
         for (k, (state, densities)) in truth.states.iter().zip(&truth.densities).enumerate() {
             // A truth to learn from must have all frames.
             interrupt::check().inspect_err(|_| self.out.discard())?;
@@ -219,9 +272,13 @@ impl Import {
             dimension: D,
             dt,
             densities,
-            miss: self.share(&truth),
+            miss: share(&truth, space),
             warnings: findings.warnings,
             recording: self.out.path().to_owned(),
+            sides: space.sides::<D>().to_vec(),
+            boundary: (0..D).map(|axis| space.axis(axis)).collect(),
+            fastest: speeds(&truth).fold(0.0, f64::max),
+            tracks: None,
         })
     }
 
@@ -229,11 +286,11 @@ impl Import {
     fn densities<const D: usize>(
         &self,
         truth: &mut Truth<D>,
-        space: Space,
+        Setting { space, h }: Setting,
         findings: &mut Findings,
     ) -> Result<&'static str> {
         let missing = truth.densities.iter().any(Vec::is_empty);
-        let kernel = self.smoothing_length.map(|h| Kernel { kernel: self.kernel, h });
+        let kernel = h.map(|h| Kernel { kernel: self.kernel, h });
         match (missing, kernel) {
             (true, Some(kernel)) => {
                 sum_where_missing(truth, kernel, space);
@@ -250,31 +307,58 @@ impl Import {
         }
     }
 
-    fn run_info<const D: usize>(&self, truth: &Truth<D>, dt: f64, densities: &str) -> RunInfo {
-        let all = || truth.states.iter().flat_map(|state| &state.velocities);
-        let square: f64 = all().map(|v| v.norm_squared()).sum();
-        let typical = (square / (all().count() * D).max(1) as f64).sqrt();
+    fn run_info<const D: usize>(
+        &self,
+        truth: &Truth<D>,
+        setting: Setting,
+        (dt, densities): (f64, &str),
+    ) -> RunInfo {
+        let square: f64 = speeds(truth).map(|speed| speed * speed).sum();
+        let typical = (square / (speeds(truth).count() * D).max(1) as f64).sqrt();
         let mut metadata = vec![
             ("command", "import".to_owned()),
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("dt", format!("{dt:?}")),
             ("densities", densities.to_owned()),
         ];
-        if let Some(h) = self.smoothing_length {
+        if let Some(h) = setting.h {
             metadata.push(("smoothing_length", format!("{h:?}")));
             metadata.push(("kernel", self.kernel.name().to_owned()));
         }
+        let space = setting.space;
+        let sides = space.sides::<D>().to_vec();
+        let is_cube = sides.iter().all(|side| side.to_bits() == sides[0].to_bits());
+        let is_periodic = (0..D).all(|axis| space.is_periodic(axis));
+        let axes = (0..D).map(|axis| space.axis(axis));
         RunInfo {
             scene_toml: String::new(),
             dimension: D,
-            box_length: self.box_length,
-            sides: Vec::new(),
-            boundary: Vec::new(),
+            box_length: sides[0],
+            sides: if is_cube { Vec::new() } else { sides.clone() },
+            boundary: if is_periodic { Vec::new() } else { axes.collect() },
             speed_scale: if typical > 0.0 && typical.is_finite() { 2.0 * typical } else { 1.0 },
             parameters: Vec::new(),
             metadata: metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
         }
     }
+}
+
+/// Box and smoothing length, in the units of the recording.
+#[derive(Clone, Copy)]
+pub(super) struct Setting {
+    space: Space,
+    h: Option<f64>,
+}
+
+/// The median deviation of particles from their displacement by velocities, as a share of it.
+fn share<const D: usize>(truth: &Truth<D>, space: Space) -> f64 {
+    let found = misses(truth, space);
+    if found.miss > 0.0 { found.miss / found.way } else { 0.0 }
+}
+
+/// The speeds of all particles in all states.
+fn speeds<const D: usize>(truth: &Truth<D>) -> impl Iterator<Item = f64> {
+    truth.states.iter().flat_map(|state| &state.velocities).map(|v| v.norm())
 }
 
 /// The time between frames from their timestamps, which are whole nanoseconds.
@@ -297,65 +381,5 @@ fn interval(times: &[i128], findings: &Findings) -> Result<f64> {
             findings.never(format!("frames {apart} ns apart, all of them"), found, remedy)
         }
         None => Ok(1e-9 * apart),
-    }
-}
-
-/// Arrays of one flow.
-struct Arrays {
-    place: String,
-    positions: Array,
-    velocities: Array,
-    densities: Option<Array>,
-}
-
-impl Arrays {
-    fn open(positions: &Path, velocities: &Path, densities: Option<&Path>) -> Result<Self> {
-        let place = format!("{}, {}", positions.display(), velocities.display());
-        let (r, v) = (Array::open(positions, 3)?, Array::open(velocities, 3)?);
-        v.must_have(&r.shape, velocities.display())?;
-        if !matches!(r.shape[2], 2 | 3) {
-            let found = format!("shape {:?}", r.shape);
-            let remedy = match r.shape.iter().position(|n| matches!(n, 2 | 3)) {
-                Some(axis) => format!("transpose the array: numpy.moveaxis(r, {axis}, -1)"),
-                None => "transpose the array to [frames, particles, dimension]".to_owned(),
-            };
-            let expected = "a last axis of 2 or 3";
-            return Err(Error::input(positions.display(), expected, found, remedy));
-        }
-        let densities = match densities {
-            Some(path) => {
-                let densities = Array::open(path, 2)?;
-                densities.must_have(&r.shape[..2], path.display())?;
-                Some(densities)
-            }
-            None => None,
-        };
-        Ok(Self { place, positions: r, velocities: v, densities })
-    }
-
-    /// The flow, from axes [frames, particles, dimension] or, if `swapped`, [particles, frames,
-    /// dimension].
-    fn truth<const D: usize>(&self, dt: f64, swapped: bool) -> Truth<D> {
-        let [frames, particles] = match swapped {
-            false => [0, 1].map(|axis| self.positions.shape[axis]),
-            true => [1, 0].map(|axis| self.positions.shape[axis]),
-        };
-        let index = |k: usize, i: usize| if swapped { [i, k] } else { [k, i] };
-        let vector = |array: &Array, k: usize, i: usize| {
-            let [a, b] = index(k, i);
-            Vector(std::array::from_fn(|axis| array.at(&[a, b, axis])))
-        };
-        let mut truth = Truth::default();
-        for k in 0..frames {
-            truth.states.push(State {
-                time: k as f64 * dt,
-                positions: (0..particles).map(|i| vector(&self.positions, k, i)).collect(),
-                velocities: (0..particles).map(|i| vector(&self.velocities, k, i)).collect(),
-            });
-            let own = self.densities.iter();
-            let own = own.flat_map(|rho| (0..particles).map(move |i| rho.at(&index(k, i))));
-            truth.densities.push(own.collect());
-        }
-        truth
     }
 }

@@ -1,7 +1,9 @@
 //! The work of a command between its arguments and its report: flows recorded as they run.
 
+mod arrays;
 pub mod door;
 mod evaluated;
+mod fitting;
 mod guard;
 mod import;
 mod law;
@@ -12,6 +14,7 @@ mod origin;
 mod priced;
 mod reproduction;
 mod requirements;
+mod tracks;
 mod training;
 
 pub use door::{Admitted, Given, admit, admit_state};

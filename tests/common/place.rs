@@ -65,6 +65,7 @@ impl Place {
             "train" => env!("CARGO_BIN_EXE_train"),
             "simulate" => env!("CARGO_BIN_EXE_simulate"),
             "import" => env!("CARGO_BIN_EXE_import"),
+            "export" => env!("CARGO_BIN_EXE_export"),
             "trade" => env!("CARGO_BIN_EXE_trade"),
             "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
             "reproduce" => env!("CARGO_BIN_EXE_reproduce"),

@@ -1,0 +1,7 @@
+//! The command `export`: `whirls::commands::export`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    whirls::commands::export()
+}
