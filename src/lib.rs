@@ -4,7 +4,7 @@
 pub mod arrays;
 pub mod cells;
 pub mod chunk;
-
+pub mod dns;
 pub mod error;
 #[cfg(feature = "laboratory")]
 pub mod evaluation;
