@@ -1,6 +1,8 @@
 //! `simulate`: runs the flow of a scene forward.
 
 mod common;
+#[path = "simulate/dns.rs"]
+mod dns;
 #[path = "common/flow.rs"]
 mod flow;
 #[path = "common/meter.rs"]
@@ -23,7 +25,7 @@ use whirls::run::{
     Given, Guard, Requirements, admit_state, begin_recording, run_info, run_recorded,
     simulation_must_fit,
 };
-use whirls::scene::CalibratedStep;
+use whirls::scene::{AnyScene, CalibratedStep};
 use whirls::statistics::conservation;
 use whirls::trade::calibrate_step;
 use whirls::{Flow, Result, Scene};
@@ -32,7 +34,8 @@ use whirls::{Flow, Result, Scene};
 #[derive(Parser)]
 #[command(name = "simulate", version)]
 struct Arguments {
-    /// A shipped scene (inverse-3d, inverse-2d, node-3d, …) or a .toml file.
+    /// A shipped scene (inverse-3d, inverse-2d, node-3d, …; dns-3d and dns-2d are direct numerical simulations) or a
+    /// .toml file.
     #[arg(default_value = "inverse-3d")]
     scene: String,
     /// Go on from a frame of a recording instead of the scene's initial state.
@@ -85,18 +88,28 @@ fn main() -> ExitCode {
     let mut common = arguments.common.clone();
     let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
     common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
-    conclude(common.open(&arguments.scene).and_then(|mut scene| {
-        scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
-        if arguments.common.print_scene {
+    conclude(common.open_any(&arguments.scene).and_then(|scene| match scene {
+        AnyScene::Particles(scene) => run(&arguments, *scene),
+        AnyScene::Dns(scene) if arguments.common.print_scene => {
             say(scene.to_toml());
-            return Ok(());
+            Ok(())
         }
-        in_dimension!(scene, simulate(&arguments, &scene))
+        AnyScene::Dns(scene) => in_dimension!(scene, dns::simulate(&arguments, &scene)),
     }))
 }
 
+/// Runs a scene of particles.
+fn run(arguments: &Arguments, mut scene: Scene) -> Result<()> {
+    scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
+    if arguments.common.print_scene {
+        say(scene.to_toml());
+        return Ok(());
+    }
+    in_dimension!(scene, simulate(arguments, &scene))
+}
+
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let output = reserve_output(arguments, scene)?;
+    let output = reserve_output(arguments, (&scene.name, scene.record.every))?;
     simulation_must_fit::<D>(scene)?;
     let waiting = progress(0, "start");
     let (given, warnings) = match &arguments.from {
@@ -167,11 +180,11 @@ fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> 
 }
 
 /// The recording's path, if one is written.
-fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
-    if arguments.common.explain || scene.record.every == 0 {
+fn reserve_output(arguments: &Arguments, (name, every): (&str, u64)) -> Result<Option<Output>> {
+    if arguments.common.explain || every == 0 {
         return Ok(None);
     }
-    let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
+    let default = PathBuf::from(format!("recordings/{name}.flow.mcap"));
     let path = arguments.record.as_ref().unwrap_or(&default);
     let inputs = [Some(Path::new(&arguments.scene)), arguments.from.as_deref()];
     let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();

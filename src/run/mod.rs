@@ -1,5 +1,6 @@
 //! The work of a command between its arguments and its report: flows recorded as they run.
 
+mod dns;
 pub mod door;
 mod evaluated;
 mod guard;
@@ -13,6 +14,7 @@ mod reproduction;
 mod requirements;
 mod training;
 
+pub use dns::{DnsRequirements, dns_info, run_dns};
 pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};
