@@ -85,9 +85,7 @@ const AT_REST: f64 = 0.1;
 
 /// The velocity field of an incompressible flow in a periodic box, and its time.
 ///
-/// A step is [`begin`](Self::begin), then for each stage of the scheme [`evaluate`](Self::evaluate),
-/// [`prepare_force`](Self::prepare_force) and [`advance`](Self::advance). Tracers read the field of a stage between the
-/// last two.
+/// The systems of [`crate::systems::dns`] advance it, stage by stage.
 #[derive(Debug)]
 pub struct SpectralField<const D: usize> {
     pub(super) settings: Settings,

@@ -12,7 +12,8 @@ use crate::kernel::Transform;
 use crate::vector::Vector;
 
 /// Numbers of nodes of a mesh whose values can be given.
-pub(crate) const MESHES: &str = "a number of nodes without prime factors above 5";
+pub(crate) const MESHES: &str =
+    "a number of nodes that a mesh may have, without prime factors above 5";
 
 /// The least multiple of `per_axis` nodes that keeps all waves of a mesh and that the transforms know.
 pub(crate) fn mesh_above(per_axis: usize, nodes: usize) -> Option<usize> {

@@ -15,9 +15,9 @@
 //! ```
 //!
 //! - [`Start`] says what it starts from, [`Forcing`] what keeps it going.
-//! - [`Solver::seed`] puts tracers into it, which move with the same stages; their velocity is a spline's.
-//! - [`Solver::filtered`] is the field that a kernel would see.
-//! - [`Statistics`] and [`Solver::skewness`] are what is known of turbulence.
+//! - [`Solver::seed`] puts tracers into it, entities that move with the same stages; their velocity is a spline's.
+//! - [`SpectralField::filtered`] is the field that a kernel would see.
+//! - [`Statistics`] and [`SpectralField::skewness`] are what is known of turbulence.
 //!
 //! All results have the same bits for any number of threads and on every instruction set, and a step allocates nothing.
 //! Cost: `cargo bench --bench dns`.

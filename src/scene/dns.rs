@@ -138,7 +138,7 @@ impl DnsScene {
     /// the spin-up that is done.
     ///
     /// # Errors
-    /// [`Error::Input`] where the start does not fit, [`Error::Diverged`] and [`Error::Interrupted`] from the spin-up.
+    /// [`crate::Error::Input`] where the start does not fit, [`crate::Error::Diverged`] and [`crate::Error::Interrupted`] from the spin-up.
     pub fn developed<const D: usize>(&self, after: &mut dyn FnMut(f64)) -> Result<Solver<D>> {
         let mut solver = self.dns.developed((self.box_length, self.seed), after)?;
         solver.seed(&self.lattice());

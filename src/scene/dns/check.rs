@@ -66,7 +66,8 @@ impl DnsScene {
                     f.smoothing_length.to_string(),
                 ),
                 (
-                    crate::dns::mesh_above(f.mesh, self.dns.nodes).is_some(),
+                    f.mesh <= most_nodes(self.dimension)
+                        && crate::dns::mesh_above(f.mesh, self.dns.nodes).is_some(),
                     "record.filtered.mesh",
                     crate::dns::MESHES,
                     f.mesh.to_string(),
@@ -75,6 +76,11 @@ impl DnsScene {
         }));
         rules
     }
+}
+
+/// Nodes along each axis, maximum.
+fn most_nodes(dimension: usize) -> usize {
+    if dimension == 2 { 4096 } else { 512 }
 }
 
 /// Refuses the first requirement that does not hold.
@@ -109,7 +115,7 @@ impl Dns {
     }
 
     fn requirements(&self, dimension: usize) -> Vec<Requirement> {
-        let most = if dimension == 2 { 4096 } else { 512 };
+        let most = most_nodes(dimension);
         let show = |x: f64| x.to_string();
         let mut rules = vec![
             (

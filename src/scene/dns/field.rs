@@ -163,7 +163,7 @@ impl Dns {
     /// with the share of the work that is done. Time goes on from each run to the next.
     ///
     /// # Errors
-    /// As [`DnsScene::developed`].
+    /// As [`crate::scene::DnsScene::developed`].
     pub fn developed<const D: usize>(
         &self,
         of: (f64, u64),
