@@ -23,6 +23,8 @@ pub mod arrays;
 #[doc(hidden)]
 pub mod commands;
 
+#[doc(hidden)]
+pub mod dns;
 pub mod error;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]

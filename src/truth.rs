@@ -2,6 +2,8 @@
 //!
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
+mod dns;
+
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
 use crate::kernel::{KernelChoice, Smoothing};
@@ -25,6 +27,9 @@ pub struct Truth<const D: usize> {
     /// Whether the states come from a recording, which fixes their times, and not from a flow that
     /// was run for this purpose.
     pub is_recorded: bool,
+    /// The smoothed velocity field of each state at the nodes of the field loss, where it is known without particles;
+    /// empty where it is estimated from them.
+    pub fields: Vec<Vec<Vector<f64, D>>>,
 }
 
 impl<const D: usize> Truth<D> {
@@ -135,10 +140,7 @@ impl<const D: usize> Truth<D> {
         self.must_be_whole()?;
         self.must_be_finite()?;
         let space = scene.space();
-        let mesh = match learn.mesh {
-            Some(along_first) => Mesh::over(space, along_first),
-            None => Mesh::of_particles(space, scene.particles()),
-        };
+        let mesh = field_mesh(scene, learn);
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
         let observation = |(k, (state, densities)): (usize, (&State<D>, &Vec<f64>))| {
             let increments =
@@ -147,10 +149,10 @@ impl<const D: usize> Truth<D> {
                 step: (k as u64 + 1) * learn.every,
                 positions: state.positions.iter().map(|&r| space.wrap(r)).collect(),
                 velocities: state.velocities.clone(),
-                field: if learn.loss.field > 0.0 {
-                    velocity_field(scene, &mesh, state, densities)
-                } else {
-                    Vec::new()
+                field: match self.fields.get(k + 1) {
+                    _ if learn.loss.field <= 0.0 => Vec::new(),
+                    Some(field) => field.clone(),
+                    None => velocity_field(scene, &mesh, state, densities),
                 },
                 increments: (learn.loss.kl > 0.0).then(increments).transpose()?,
             })
@@ -166,6 +168,14 @@ impl<const D: usize> Truth<D> {
             times: learn.increments.times,
             start: Arc::new(self.states[0].velocities.clone()),
         })
+    }
+}
+
+/// The mesh of the field loss.
+fn field_mesh<const D: usize>(scene: &Scene, learn: &Learn) -> Mesh<D> {
+    match learn.mesh {
+        Some(along_first) => Mesh::over(scene.space(), along_first),
+        None => Mesh::of_particles(scene.space(), scene.particles()),
     }
 }
 

@@ -17,6 +17,8 @@
 //! | [`loss`] | comparison with a truth | `Loss` |
 //! | [`watch`] | limits | `Watch` |
 //!
+//! A direct numerical simulation is a World of its own, [`dns`].
+//!
 //! A flow is extended by a term ([`crate::scene::Scene::add_term`]), which can be learned, or, where nothing is
 //! differentiated, by a system added to a phase or between two:
 //!
@@ -44,6 +46,7 @@ pub mod columns;
 pub mod density;
 #[doc(hidden)]
 pub mod density_tangent;
+pub mod dns;
 pub mod forcing;
 pub mod loss;
 #[doc(hidden)]

@@ -172,6 +172,7 @@ fn run<const D: usize>(
         return Err(Error::input("--every", expected, every, "look more often"));
     }
     let source = match recorded {
+        None if scene.truth.is_some() => Source::Recorded(realisations(scene, &plan)?),
         None => Source::Scene,
         Some(path) => Source::Recorded(pieces::<D>(path, (arguments, scene), &mut plan)?),
     };
@@ -195,6 +196,22 @@ fn reserve_folder(arguments: &Arguments) -> Result<Output> {
     let names = if arguments.no_record { &names[..2] } else { &names[..] };
     let guard = Guard { command: "evaluate", inputs: &inputs, ..Guard::default() };
     guard.reserve_folder(&arguments.out, names)
+}
+
+/// Truths of a scene whose truth is a direct numerical simulation, seed by seed.
+fn realisations<const D: usize>(
+    scene: &Scene,
+    plan: &Plan,
+) -> Result<Vec<crate::truth::Truth<D>>> {
+    let after = scene.learn.as_ref().map_or(0, |learn| learn.after);
+    let bar = progress(plan.realisations, "truth");
+    let truth = |more: u64| {
+        let scene = Scene { seed: scene.seed.wrapping_add(more), ..scene.clone() };
+        let truth = crate::truth::Truth::of_scene(&scene, (after, plan.marks.steps as usize));
+        bar.inc(1);
+        truth
+    };
+    (0..plan.realisations).map(truth).collect()
 }
 
 /// Consecutive pieces of a recorded flow, of the requested length or, without one, of the length

@@ -12,8 +12,12 @@ pub(crate) fn progress(length: u64, what: &'static str) -> Meter {
 
 /// Runs `$run::<D>($($argument),*)` with the scene's dimension as `D`.
 macro_rules! in_dimension {
-    ($scene:expr, $run:ident($($argument:expr),*)) => {
-        if $scene.dimension == 2 { $run::<2>($($argument),*) } else { $run::<3>($($argument),*) }
+    ($scene:expr, $($run:ident)::+($($argument:expr),*)) => {
+        if $scene.dimension == 2 {
+            $($run)::+::<2>($($argument),*)
+        } else {
+            $($run)::+::<3>($($argument),*)
+        }
     };
 }
 pub(crate) use in_dimension;

@@ -4,6 +4,7 @@ use super::common::warn;
 use super::common::{say, say_json};
 use crate::output::{Output, leftovers, readable, same_file};
 use crate::run::{Guard, Requirements};
+use crate::scene::AnyScene;
 use crate::trade::{CALIBRATION, Choice, Trial};
 use crate::{Result, Scene};
 use clap::Args;
@@ -34,13 +35,31 @@ pub(crate) struct SceneArguments {
 
 impl SceneArguments {
     /// The scene, with overrides and seed; also starts the threads.
+    #[allow(dead_code, reason = "simulate runs scenes of either kind")]
     pub(crate) fn open(&self, name_or_path: &str) -> Result<Scene> {
-        let threads = usize::from(self.threads.unwrap_or(0));
-        // A second pool in one process would be a bug of ours, and harmless.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+        self.start_threads();
         let mut scene = Scene::open(name_or_path, &self.overrides)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
         Ok(scene)
+    }
+
+    /// The same for a scene of either kind.
+    #[allow(dead_code, reason = "only simulate runs both kinds")]
+    pub(crate) fn open_any(&self, name_or_path: &str) -> Result<AnyScene> {
+        self.start_threads();
+        let mut scene = AnyScene::open(name_or_path, &self.overrides)?;
+        let seed = match &mut scene {
+            AnyScene::Particles(scene) => &mut scene.seed,
+            AnyScene::Dns(scene) => &mut scene.seed,
+        };
+        *seed = self.seed.unwrap_or(*seed);
+        Ok(scene)
+    }
+
+    fn start_threads(&self) {
+        let threads = usize::from(self.threads.unwrap_or(0));
+        // A second pool in one process would be a bug of ours, and harmless.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     }
 }
 

@@ -1,5 +1,7 @@
 //! `simulate`: runs the flow of a scene forward.
 
+mod dns;
+
 
 use clap::Parser;
 use super::common::{conclude, say, say_json, warn};
@@ -16,7 +18,7 @@ use crate::run::{
     Given, Guard, Requirements, admit_state, begin_recording, open_law, run_info, run_recorded,
     simulation_must_fit,
 };
-use crate::scene::{CalibratedStep, Law};
+use crate::scene::{AnyScene, CalibratedStep, Law};
 use crate::statistics::{Turbulence, conservation};
 use crate::trade::calibrate_step;
 use crate::{Flow, Result, Scene};
@@ -25,7 +27,8 @@ use crate::{Flow, Result, Scene};
 #[derive(Debug, Parser)]
 #[command(name = "simulate", version)]
 pub(super) struct Arguments {
-    /// A shipped scene (inverse-3d, inverse-2d, node-3d, …) or a .toml file.
+    /// A shipped scene (inverse-3d, inverse-2d, node-3d, …; dns-3d and dns-2d are direct numerical simulations) or a
+    /// .toml file.
     #[arg(default_value = "inverse-3d")]
     scene: String,
     /// Let a learned law move the particles: the recording of a training, or a law that `export-law` wrote.
@@ -86,21 +89,31 @@ pub(super) fn execute(arguments: &Arguments) -> ExitCode {
     let mut common = arguments.common.clone();
     let asked = arguments.accuracy.map(|accuracy| format!("accuracy={accuracy:?}"));
     common.overrides.extend(asked.map(|asked| asked.to_lowercase()));
-    conclude(common.open(&arguments.scene).and_then(|mut scene| {
-        if let Some(path) = &arguments.law {
-            scene = moved_by(scene, path, &common.overrides)?;
-        }
-        scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
-        if arguments.common.print_scene {
+    conclude(common.open_any(&arguments.scene).and_then(|scene| match scene {
+        AnyScene::Particles(scene) => run(arguments, *scene, &common.overrides),
+        AnyScene::Dns(scene) if arguments.common.print_scene => {
             say(scene.to_toml());
-            return Ok(());
+            Ok(())
         }
-        in_dimension!(scene, simulate(arguments, &scene))
+        AnyScene::Dns(scene) => in_dimension!(scene, dns::simulate(arguments, &scene)),
     }))
 }
 
+/// Runs a scene of particles.
+fn run(arguments: &Arguments, mut scene: Scene, overrides: &[String]) -> Result<()> {
+    if let Some(path) = &arguments.law {
+        scene = moved_by(scene, path, overrides)?;
+    }
+    scene.time.steps = arguments.steps.unwrap_or(scene.time.steps);
+    if arguments.common.print_scene {
+        say(scene.to_toml());
+        return Ok(());
+    }
+    in_dimension!(scene, simulate(arguments, &scene))
+}
+
 fn simulate<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let output = reserve_output(arguments, scene)?;
+    let output = reserve_output(arguments, (&scene.name, scene.record.every))?;
     simulation_must_fit::<D>(scene)?;
     let waiting = progress(0, "start");
     let (given, warnings) = match &arguments.from {
@@ -199,11 +212,11 @@ fn describe_law(law: &Law, scene: &Scene) {
 }
 
 /// The recording's path, if one is written.
-fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>> {
-    if arguments.common.explain || scene.record.every == 0 {
+fn reserve_output(arguments: &Arguments, (name, every): (&str, u64)) -> Result<Option<Output>> {
+    if arguments.common.explain || every == 0 {
         return Ok(None);
     }
-    let default = PathBuf::from(format!("recordings/{}.flow.mcap", scene.name));
+    let default = PathBuf::from(format!("recordings/{name}.flow.mcap"));
     let path = arguments.record.as_ref().unwrap_or(&default);
     let inputs =
         [Some(Path::new(&arguments.scene)), arguments.from.as_deref(), arguments.law.as_deref()];

@@ -5,7 +5,7 @@ use super::door::{Given, admit, admit_given};
 use crate::error::{Error, Result};
 use crate::flow::Flow;
 use crate::recording::Recording;
-use crate::scene::{Learn, Scene};
+use crate::scene::{FieldTarget, Learn, Scene};
 use crate::trade::{Choice, calibrate_step};
 use crate::truth::Truth;
 use std::time::Instant;
@@ -37,6 +37,7 @@ impl<const D: usize> Lesson<D> {
         let clock = Instant::now();
         let mut lesson = match recorded {
             Some(given) => {
+                must_be_estimated(&learn)?;
                 let part = (first_frame(&learn)?, learn.frames);
                 let (admitted, origin) = admit_given(given, scene, part)?;
                 let (truth, warnings) = (admitted.truth, admitted.warnings);
@@ -45,15 +46,30 @@ impl<const D: usize> Lesson<D> {
             None => {
                 let parameters = scene.parameters();
                 let known = learn.parameters.iter().filter_map(|p| parameters.get(p)).collect();
-                let truth = Truth::generate(scene, (learn.after, learn.frames))?;
-                // A learned law has no true values of another model's parameters.
-                let is_known = scene.law.as_ref().is_none_or(|law| law.model == learn.model);
+                let truth = Truth::of_scene(scene, (learn.after, learn.frames))?;
+                // Neither a simulation nor a learned law has true values of another model's
+                // parameters.
+                let is_known = scene.truth.is_none()
+                    && scene.law.as_ref().is_none_or(|law| law.model == learn.model);
                 let (known, warnings) = (is_known.then_some(known), Vec::new());
                 Self { learn, truth, known, seconds: 0.0, origin: None, warnings }
             }
         };
         lesson.seconds = clock.elapsed().as_secs_f64();
         Ok(lesson)
+    }
+}
+
+/// Refuses recorded particles where the field is to be known without them.
+fn must_be_estimated(learn: &Learn) -> Result<()> {
+    match learn.field {
+        FieldTarget::Tracers => Ok(()),
+        FieldTarget::Filtered => Err(Error::input(
+            "learn.field",
+            "\"tracers\" with recorded particles",
+            "\"filtered\", which needs the velocity between them",
+            "set learn.field to \"tracers\", or give the scene a [truth] of kind \"dns\"",
+        )),
     }
 }
 
@@ -83,7 +99,10 @@ pub fn calibrate_training<const D: usize>(
     recorded: Option<Given<'_>>,
 ) -> Result<Choice> {
     calibrate_step(scene, |written| match recorded {
-        None => Ok(Flow::<D>::new(written)?.state()),
+        None if written.truth.is_none() => Ok(Flow::<D>::new(written)?.state()),
+        None => {
+            Ok(Truth::<D>::of_scene(written, (written.learning()?.after, 0))?.states[0].clone())
+        }
         Some(Given { path, force }) => {
             let part = (first_frame(written.learning()?)?, written.learning()?.frames);
             let admitted = admit(&Recording::open(path)?, written, part, force)?;

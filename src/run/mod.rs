@@ -1,6 +1,7 @@
 //! The work of a command between its arguments and its report: flows recorded as they run.
 
 mod arrays;
+mod dns;
 pub mod door;
 mod evaluated;
 mod fitting;
@@ -17,6 +18,7 @@ mod requirements;
 mod tracks;
 mod training;
 
+pub use dns::{DnsRequirements, dns_info, run_dns};
 pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};

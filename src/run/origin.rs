@@ -74,18 +74,23 @@ impl Origin {
     }
 }
 
-/// Refuses a recording without a scene, such as an imported one, where a learned model is expected.
+/// Refuses a recording without a scene of particles, such as an imported one, where a learned model is expected.
 ///
 /// # Errors
 /// [`Error::Input`], with the remedy.
 pub fn must_be_trained(path: &Path, recording: &Recording) -> Result<()> {
-    if !recording.run().scene_toml.trim().is_empty() {
+    let run = recording.run();
+    let is_dns = run.metadata.get("kind").is_some_and(|kind| kind == "dns");
+    if !run.scene_toml.trim().is_empty() && !is_dns {
         return Ok(());
     }
     let file = path.display();
     let expected = "a learned model, as `train` records it";
-    let command = recording.run().metadata.get("command").map_or("another program", String::as_str);
-    let found = format!("a recording without a scene, of `{command}`");
+    let command = run.metadata.get("command").map_or("another program", String::as_str);
+    let found = match is_dns {
+        true => "tracers of a direct numerical simulation".to_owned(),
+        false => format!("a recording without a scene, of `{command}`"),
+    };
     let remedy = format!(
         "learn from it first: `train SCENE --truth {file} --record learned.mcap`, then `evaluate learned.mcap`"
     );

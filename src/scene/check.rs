@@ -1,7 +1,8 @@
 //! Conditions that a scene must satisfy beyond its types.
 
 use super::check_learn::{learn_requirements, loss_requirements, optimiser_requirements};
-use super::{Forcing, Scene, Speed};
+use super::dns::{TruthSource, in_truth};
+use super::{FieldTarget, Forcing, Scene, Speed};
 use crate::error::{Error, Result};
 use crate::forcing::ornstein_uhlenbeck::WIDEST;
 
@@ -11,11 +12,21 @@ pub(crate) type Requirement = (bool, &'static str, &'static str, String);
 impl Scene {
     /// Refuses numbers that no run can use; `origin` names the scene in the error.
     pub fn check(&self, origin: &str) -> Result<()> {
+        if let Some(TruthSource::Dns(dns)) = &self.truth {
+            dns.check(origin, self.dimension).map_err(in_truth)?;
+            self.must_be_a_periodic_cube(origin)?;
+        }
         let mut requirements = self.accuracy_requirements();
         requirements.extend(self.fluid_requirements());
         requirements.extend(self.motion_requirements());
         requirements.extend(self.initial.field.requirements(self));
         if let Some(learn) = &self.learn {
+            requirements.push((
+                learn.field == FieldTarget::Tracers || self.truth.is_some(),
+                "learn.field",
+                "\"tracers\", or a [truth] of kind \"dns\", whose velocity is known everywhere",
+                "\"filtered\" with a truth of particles".to_owned(),
+            ));
             requirements.extend(learn_requirements(learn));
             requirements.extend(optimiser_requirements(&learn.optimiser));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
@@ -38,6 +49,20 @@ impl Scene {
                 "change it in the scene or with --set",
             )),
         }
+    }
+
+    /// Refuses a box that the spectral solver has no waves for.
+    fn must_be_a_periodic_cube(&self, origin: &str) -> Result<()> {
+        let space = self.space();
+        if space.is_periodic_cube::<3>() {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("{origin}: truth"),
+            "a periodic box of equal sides around a direct numerical simulation",
+            self.box_words(),
+            "leave out fluid.sides and fluid.boundary",
+        ))
     }
 
     /// Refuses a number that is not finite in any key, whatever other conditions the key has.

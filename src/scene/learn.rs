@@ -39,6 +39,9 @@ pub struct Learn {
     /// axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<usize>,
+    /// What the field loss compares with.
+    #[serde(default, skip_serializing_if = "FieldTarget::is_default")]
+    pub field: FieldTarget,
     /// Which velocity increments the statistical loss compares, and how.
     #[serde(default)]
     pub increments: Increments,
@@ -67,6 +70,25 @@ pub struct Learn {
     /// The loss below which the search ends.
     #[serde(default = "defaults::target")]
     pub target: f64,
+}
+
+/// What the field loss compares with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FieldTarget {
+    /// The field that the kernel estimates from the true particles (default).
+    #[default]
+    Tracers,
+    /// The true velocity convolved with the kernel, `û(k) Ŵ(kh)`: known where the truth is a direct numerical
+    /// simulation.
+    Filtered,
+}
+
+impl FieldTarget {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+    fn is_default(&self) -> bool {
+        *self == Self::Tracers
+    }
 }
 
 /// A search before the search, for losses that converge only from nearby: same model, parameters

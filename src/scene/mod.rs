@@ -9,6 +9,7 @@
 mod accuracy;
 mod check;
 mod check_learn;
+pub mod dns;
 mod guests;
 mod law;
 mod learn;
@@ -17,10 +18,11 @@ mod suggest;
 
 pub use accuracy::{CalibratedStep, Speed};
 pub(crate) use check::Requirement;
+pub use dns::DnsScene;
 pub use guests::{Guests, Values};
 pub use law::{Constants, Law, Provenance};
-pub use learn::{Increments, Learn, Optimiser, Times, WarmUp, Weights};
-pub use read::{SHIPPED, Shipped};
+pub use learn::{FieldTarget, Increments, Learn, Optimiser, Times, WarmUp, Weights};
+pub use read::{AnyScene, SHIPPED, SHIPPED_DNS, Shipped};
 
 use crate::error::{Error, Result};
 use crate::flow::initial::Field;
@@ -89,6 +91,9 @@ pub struct Scene {
     pub law: Option<Box<Law>>,
     /// The time integration.
     pub time: Time,
+    /// Where the truth of the training comes from; by default from the scene's own law.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<dns::TruthSource>,
     /// The training; a scene without it only simulates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learn: Option<Learn>,

@@ -1,7 +1,7 @@
 //! Reads a [`Scene`] from TOML text, shipped or from a file, with overrides, and checks it.
 
 use super::suggest::{meant, nearest};
-use super::{Constants, Law, Scene};
+use super::{Constants, DnsScene, Law, Scene};
 use crate::error::{Error, Result};
 use crate::files;
 use std::path::Path;
@@ -90,6 +90,101 @@ pub const SHIPPED: [Shipped; 15] = {
     all
 };
 
+/// Direct numerical simulations that are compiled in, by name.
+pub const SHIPPED_DNS: [(&str, &str); 2] = [
+    ("dns-2d", include_str!("shipped/dns-2d.toml")),
+    ("dns-3d", include_str!("shipped/dns-3d.toml")),
+];
+
+/// A scene of either kind.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AnyScene {
+    /// Of SPH particles.
+    Particles(Box<Scene>),
+    /// A direct numerical simulation.
+    Dns(Box<DnsScene>),
+}
+
+impl AnyScene {
+    /// A shipped scene by name or a file by path, with overrides as in [`Scene::open`].
+    ///
+    /// # Errors
+    /// As [`Scene::open`].
+    pub fn open(name_or_path: &str, overrides: &[String]) -> Result<Self> {
+        let shipped = SHIPPED_DNS.iter().find(|(name, _)| *name == name_or_path);
+        if let Some((name, text)) = shipped {
+            let origin = format!("shipped scene {name}");
+            return DnsScene::parse(text, &origin, overrides).map(|scene| Self::Dns(scene.into()));
+        }
+        let dns = SHIPPED_DNS.iter().map(|(name, _)| *name);
+        if !SHIPPED.iter().any(|shipped| shipped.name == name_or_path) {
+            must_be_a_scene(name_or_path, SHIPPED.iter().map(|shipped| shipped.name).chain(dns))?;
+        }
+        let path = Path::new(name_or_path);
+        if path.is_file() {
+            let text = text_of(path, "a scene")?;
+            let table: Table =
+                toml::from_str(&text).map_err(|e| refused(name_or_path, &text, &e))?;
+            if is_dns(&table) {
+                let scene = DnsScene::parse(&text, name_or_path, overrides)?;
+                return Ok(Self::Dns(scene.into()));
+            }
+        }
+        Scene::open(name_or_path, overrides).map(|scene| Self::Particles(scene.into()))
+    }
+}
+
+/// Refuses what can be neither a shipped scene nor a file.
+fn must_be_a_scene<'a>(name_or_path: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    let path = Path::new(name_or_path);
+    if path.extension().is_some() || path.exists() {
+        return Ok(());
+    }
+    let names: Vec<&str> = names.collect();
+    Err(Error::input(
+        format!("scene '{name_or_path}'"),
+        format!("a shipped scene ({}) or a path to a .toml file", names.join(", ")),
+        "neither",
+        nearest(name_or_path, names.iter().copied())
+            .map_or("check the spelling".to_owned(), |name| format!("did you mean {name}?")),
+    ))
+}
+
+/// Whether a text is that of a direct numerical simulation.
+fn is_dns(table: &Table) -> bool {
+    table.get("kind").and_then(Value::as_str) == Some("dns")
+}
+
+/// The error of a direct numerical simulation where a scene of particles is needed.
+fn no_particles(origin: &str) -> Error {
+    Error::input(
+        origin,
+        "a scene of particles",
+        "a direct numerical simulation (kind = \"dns\")",
+        "run it with `simulate`, and learn from what it records: `train SCENE --truth FILE.mcap`",
+    )
+}
+
+impl DnsScene {
+    /// A scene from TOML text, with overrides; `origin` names the text in errors.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a key or a number is wrong.
+    pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Self> {
+        let mut table: Table = toml::from_str(text).map_err(|e| refused(origin, text, &e))?;
+        let (mut text, mut origin) = (text.to_owned(), origin.to_owned());
+        overrides.iter().try_for_each(|assignment| assign(&mut table, assignment))?;
+        if !overrides.is_empty() {
+            // Serialised again, so that an error can quote the current line.
+            text = table.to_string();
+            origin = format!("{origin} with --set {}", overrides.join(" --set "));
+        }
+        let scene: Self = toml::from_str(&text).map_err(|e| refused(&origin, &text, &e))?;
+        scene.check(&origin)?;
+        Ok(scene)
+    }
+}
+
 impl Scene {
     /// A shipped scene by name.
     ///
@@ -110,19 +205,11 @@ impl Scene {
             let origin = format!("shipped scene {}", shipped.name);
             return Self::assigned((shipped.text, None), Some(shipped), (&origin, overrides));
         }
-        let path = Path::new(name_or_path);
-        let names: Vec<&str> = SHIPPED.iter().map(|shipped| shipped.name).collect();
-        if path.extension().is_none() && !path.exists() {
-            let meant = nearest(name_or_path, names.iter().copied());
-            return Err(Error::input(
-                format!("scene '{name_or_path}'"),
-                format!("a shipped scene ({}) or a path to a .toml file", names.join(", ")),
-                "neither",
-                meant.map_or("check the spelling".to_owned(), |name| {
-                    format!("did you mean {name}?")
-                }),
-            ));
+        if SHIPPED_DNS.iter().any(|(name, _)| *name == name_or_path) {
+            return Err(no_particles(&format!("shipped scene {name_or_path}")));
         }
+        let path = Path::new(name_or_path);
+        must_be_a_scene(name_or_path, SHIPPED.iter().map(|shipped| shipped.name))?;
         let text = text_of(path, "a scene")?;
         Self::assigned((&text, path.parent()), None, (name_or_path, overrides))
     }
@@ -139,6 +226,9 @@ impl Scene {
         (origin, overrides): (&str, &[String]),
     ) -> Result<Self> {
         let mut table: Table = toml::from_str(text).map_err(|e| refused(origin, text, &e))?;
+        if is_dns(&table) {
+            return Err(no_particles(origin));
+        }
         let mut origin = origin.to_owned();
         let mut text = text.to_owned();
         if let Some(shipped) = shipped {

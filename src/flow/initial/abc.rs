@@ -72,7 +72,7 @@ impl VelocityField for Abc {
 
 impl Abc {
     /// The velocity at `kr`, of unit amplitude.
-    fn velocity(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    pub(crate) fn velocity(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let Self { a, b, c } = *self;
         [a * z.sin() + c * y.cos(), b * x.sin() + a * z.cos(), c * y.sin() + b * x.cos()]
     }

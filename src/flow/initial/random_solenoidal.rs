@@ -3,6 +3,7 @@
 use super::VelocityField;
 use crate::flow::{Stream, stream};
 use crate::scene::{Requirement, Scene};
+use crate::space::Space;
 use crate::vector::Vector;
 use crate::waves::{Wave, Waves, direction, wave_vectors};
 use rand::RngExt;
@@ -81,6 +82,17 @@ impl Spectrum {
         }
     }
 
+    /// Whether its numbers are in their ranges, see [`RandomSolenoidal`].
+    pub(crate) fn is_usable(&self, dimension: usize) -> bool {
+        let (smallest, largest) = self.shells();
+        let of_kind = match *self {
+            Self::VonKarman { peak, .. } => (1.0..=largest as f64).contains(&peak),
+            Self::PowerLaw { exponent, .. } => exponent.abs() <= 20.0,
+            Self::Band { .. } => true,
+        };
+        (1..=limit(dimension)).contains(&largest) && (1..=largest).contains(&smallest) && of_kind
+    }
+
     /// `E(k)` up to a factor.
     fn shape(&self, k: f64) -> f64 {
         match *self {
@@ -111,21 +123,24 @@ fn limit(dimension: usize) -> i64 {
 impl RandomSolenoidal {
     /// The waves of a scene's seed, box and dimension, of unit `u'`.
     pub fn waves(&self, scene: &Scene) -> Waves {
-        let energies = self.spectrum.energies(scene.dimension);
+        self.waves_in(scene.dimension, scene.space(), scene.seed)
+    }
+
+    /// The waves of a dimension, box and seed, of unit `u'`.
+    pub fn waves_in(&self, dimension: usize, space: Space, seed: u64) -> Waves {
+        let energies = self.spectrum.energies(dimension);
         let largest = energies.len() as f64 - 0.5;
-        let vectors = wave_vectors(scene.dimension, largest);
+        let vectors = wave_vectors(dimension, largest);
         let shell = |n: &[i32; 3]| length(n.map(f64::from)).round() as usize;
         let mut count = vec![0.0; energies.len()];
         vectors.iter().for_each(|n| count[shell(n)] += 1.0);
-        let mut generator = stream(scene.seed, Stream::Field);
-        let space = scene.space();
+        let mut generator = stream(seed, Stream::Field);
         let waves = vectors.into_iter().map(|n| {
             let shell = shell(&n);
             // A wave of amplitude A has the energy A²/4. Waves of zero energy are drawn as well, so
             // that the others do not change.
             let amplitude = 2.0 * (energies[shell] / count[shell]).sqrt();
-            let (cosine, sine) =
-                random_directions(direction(n, space), scene.dimension, &mut generator);
+            let (cosine, sine) = random_directions(direction(n, space), dimension, &mut generator);
             Wave { n, cosine: cosine.map(|x| amplitude * x), sine: sine.map(|x| amplitude * x) }
         });
         Waves::new(space, waves.collect())

@@ -33,7 +33,7 @@ impl VelocityField for TaylorGreen {
         let k = wave_numbers(scene.space());
         let at = |r: &Vector<f64, D>| {
             let angles = Vector(std::array::from_fn(|axis| k[axis] * r[axis]));
-            let mut unit = velocity::<D>(angles);
+            let mut unit = Self::unit::<D>(angles);
             unit[1] *= k[0] / k[1];
             unit * scene.initial.velocity
         };
@@ -41,9 +41,11 @@ impl VelocityField for TaylorGreen {
     }
 }
 
-/// The velocity at `kr`, of unit amplitude.
-fn velocity<const D: usize>(angles: Vector<f64, D>) -> Vector<f64, D> {
-    let [x, y, z] = angles.to_3d();
-    let depth = z.cos(); // z = 0 in two dimensions
-    Vector::from_3d([x.sin() * y.cos() * depth, -x.cos() * y.sin() * depth, 0.0])
+impl TaylorGreen {
+    /// The velocity at `kr`, of unit amplitude.
+    pub(crate) fn unit<const D: usize>(angles: Vector<f64, D>) -> Vector<f64, D> {
+        let [x, y, z] = angles.to_3d();
+        let depth = z.cos(); // z = 0 in two dimensions
+        Vector::from_3d([x.sin() * y.cos() * depth, -x.cos() * y.sin() * depth, 0.0])
+    }
 }

@@ -44,7 +44,8 @@ fn alike(a: f64, b: f64) -> bool {
 /// The scene that made a recording, if it can be read.
 fn scene_of(recording: &Recording, findings: &mut Findings) -> Option<Scene> {
     let text = &recording.run().scene_toml;
-    if text.is_empty() {
+    let is_dns = recording.run().metadata.get("kind").is_some_and(|kind| kind == "dns");
+    if text.is_empty() || is_dns {
         return None;
     }
     let scene = Scene::parse(text, "the recording's scene", &[]);
