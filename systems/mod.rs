@@ -15,6 +15,7 @@
 //! | [`acceleration`] | pair forces of one law or several | `Force` |
 //! | [`forcing`], [`particle_force`] | forces on each particle | `Forcing` |
 //! | [`loss`] | comparison with a truth | `Loss` |
+//! | [`cotangents`] | derivatives of a caller's loss, backwards | `Loss` |
 //! | [`watch`] | limits | `Watch` |
 //!
 //! A flow is extended by a term ([`crate::scene::Scene::add_term`]), which can be learned, or, where nothing is
@@ -40,6 +41,7 @@
 
 pub mod acceleration;
 pub mod columns;
+pub mod cotangents;
 pub mod density;
 pub mod density_tangent;
 pub mod forcing;
