@@ -88,8 +88,16 @@ pub struct Frame<const D: usize> {
 }
 
 impl<const D: usize> Frame<D> {
-    fn of(flow: &mut Flow<D>) -> Self {
-        Self { step: flow.steps(), state: flow.state(), densities: flow.densities() }
+    /// The current state of a flow.
+    pub fn of(flow: &Flow<D>) -> Self {
+        let rows = flow.rows();
+        let state = State {
+            time: flow.time(),
+            positions: rows.positions.iter().map(|r| r.0).collect(),
+            velocities: rows.velocities.iter().map(|v| v.0).collect(),
+        };
+        let densities = rows.densities.iter().map(|rho| rho.0).collect();
+        Self { step: flow.steps(), state, densities }
     }
 }
 
