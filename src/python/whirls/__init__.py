@@ -14,6 +14,8 @@ Arrays are numpy arrays of float64, ``(N, d)`` for particles and ``(F, N, d)`` f
 wide unless a scene says otherwise. Errors are :class:`Error` with what was expected, what was found and what to do.
 """
 
+from importlib.metadata import version as _version
+
 from ._errors import DivergedError, Error, FileError, InputError
 from ._flow import Flow, simulate
 from ._frames import Frames
@@ -21,6 +23,8 @@ from ._learn import Learned, learn
 from ._recording import Recording, open
 from ._rollout import Rollout, rollout
 from ._scene import Scene, shipped
+
+__version__ = _version("whirls")
 
 __all__ = [
     "DivergedError",

@@ -1,5 +1,12 @@
 """Exceptions, with the messages of the engine: what was expected, what was found, what to do."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ._frames import Frames
+
 
 class Error(Exception):
     """Any error of whirls."""
@@ -29,7 +36,7 @@ class DivergedError(Error, ArithmeticError):
     quantity: str = ""
     found: str = ""
     remedy: str = ""
-    frames = None
+    frames: Frames | None = None
 
 
 class FileError(Error, OSError):

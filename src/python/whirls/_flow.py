@@ -61,8 +61,8 @@ class Flow:
         self.scene = as_scene(scene)
         if law not in ("truth", "model"):
             raise refuse("law", "'truth' or 'model'", repr(law), "choose one of them")
-        start = start_arrays(self.scene, positions, velocities)
-        start = None if start is None else (float(time), *start)
+        state = start_arrays(self.scene, positions, velocities)
+        start = None if state is None else (float(time), *state)
         self._native = _whirls.Flow(self.scene._native, start, (law == "model", named(parameters)))
 
     def step(self, steps: int = 1, *, progress: Any = None) -> None:

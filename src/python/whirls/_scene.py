@@ -43,10 +43,10 @@ class Scene:
         source: str | os.PathLike[str] | Mapping[str, Any],
         overrides: Mapping[str, Any] | None = None,
     ) -> None:
-        self._source = dict(source) if isinstance(source, Mapping) else source
+        self._source = source
         self._overrides = dict(overrides or {})
-        if isinstance(self._source, dict):
-            self._native = _whirls.Scene("", {**self._source, **self._overrides}, "the scene of a dict")
+        if isinstance(source, Mapping):
+            self._native = _whirls.Scene("", {**source, **self._overrides}, "the scene of a dict")
         elif isinstance(source, str) and "\n" in source:
             self._native = _whirls.Scene(source, self._overrides, "the scene of a text")
         else:

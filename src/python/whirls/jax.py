@@ -62,8 +62,8 @@ class _Plan:
         return jax.ShapeDtypeStruct((self.steps // self.every + 1, *r0.shape), jnp.float64)
 
     def forward(self, parameters: Parameters, r0: Any, v0: Any) -> tuple[jax.Array, jax.Array]:
-        def call(*arguments: Any) -> Any:
-            found = self.run(*arguments, _FORWARD)
+        def call(parameters: Any, r0: Any, v0: Any) -> Any:
+            found = self.run(parameters, r0, v0, _FORWARD)
             return found.r, found.v
 
         shape = self.frames(r0)
@@ -71,7 +71,7 @@ class _Plan:
 
 
 def _doubles(parameters: Parameters, r0: Any, v0: Any) -> tuple[dict[str, jax.Array], jax.Array, jax.Array]:
-    if not jax.config.jax_enable_x64:
+    if jnp.result_type(float) != jnp.float64:
         raise refuse("whirls.jax", "double precision", "jax_enable_x64 = False",
                      'call jax.config.update("jax_enable_x64", True) at the start')
     double = lambda x: jnp.asarray(x, jnp.float64)  # noqa: E731
