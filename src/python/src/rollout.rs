@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use whirls::flow::{Direction, State};
+use whirls::flow::{Direction, FrameTangent, State};
 use whirls::parameters::Parameter;
 use whirls::sensitivity::{RecordedRollout, RolloutPlan, Storage};
 use whirls::systems::tape::FrameAdjoint;
@@ -108,26 +108,38 @@ fn vjp<'py, const D: usize>(
     Ok((parameters, array(py, &found.positions)?, array(py, &found.velocities)?))
 }
 
+/// A direction: changes of parameters, and of the start, `(N, d)`.
+type Along<'py> = (Named, Rows<'py>, Rows<'py>);
+
 fn jvp<'py, const D: usize>(
     py: Python<'py>,
     rollout: &Mutex<RecordedRollout<D>>,
-    (named, r, v): (Named, &Rows<'_>, &Rows<'_>),
+    along: Vec<Along<'_>>,
+) -> PyResult<Vec<Tangents<'py>>> {
+    let direction = |(named, r, v): Along<'_>| {
+        let (positions, velocities) = (vectors(&r)?, vectors(&v)?);
+        Ok(Direction::<D> { parameters: parameters(named), positions, velocities })
+    };
+    let directions: Vec<_> = along.into_iter().map(direction).collect::<PyResult<_>>()?;
+    let found = away(py, None, |_| lock(rollout).jvp(&directions))?;
+    found.into_iter().map(|frames| tangents(py, &frames)).collect()
+}
+
+fn tangents<'py, const D: usize>(
+    py: Python<'py>,
+    frames: &[FrameTangent<D>],
 ) -> PyResult<Tangents<'py>> {
-    let (positions, velocities) = (vectors(r)?, vectors(v)?);
-    let count = positions.len();
-    let direction = Direction::<D> { parameters: parameters(named), positions, velocities };
-    let found = away(py, None, |_| lock(rollout).jvp(&[direction]))?;
+    let count = frames.first().map_or(0, |frame| frame.densities.len());
     let (mut positions, mut velocities, mut densities) = (Vec::new(), Vec::new(), Vec::new());
-    for tangent in found.into_iter().flatten() {
+    for tangent in frames {
         positions.extend(tangent.positions.iter().flat_map(|r| r.0));
         velocities.extend(tangent.velocities.iter().flat_map(|v| v.0));
-        densities.extend(tangent.densities);
+        densities.extend_from_slice(&tangent.densities);
     }
-    let frames = densities.len() / count.max(1);
     Ok((
         stacked(py, positions, (count, D))?,
         stacked(py, velocities, (count, D))?,
-        PyArray1::from_vec(py, densities).reshape([frames, count])?,
+        PyArray1::from_vec(py, densities).reshape([frames.len(), count])?,
     ))
 }
 
@@ -180,13 +192,8 @@ impl Rollout {
         in_dimension!(&self.0, rollout => vjp(py, rollout, (&r, &v, &rho)))
     }
 
-    fn jvp<'py>(
-        &self,
-        py: Python<'py>,
-        named: Named,
-        r: Rows<'_>,
-        v: Rows<'_>,
-    ) -> PyResult<Tangents<'py>> {
-        in_dimension!(&self.0, rollout => jvp(py, rollout, (named, &r, &v)))
+    /// The derivatives along several directions, by one run.
+    fn jvp<'py>(&self, py: Python<'py>, along: Vec<Along<'_>>) -> PyResult<Vec<Tangents<'py>>> {
+        in_dimension!(&self.0, rollout => jvp(py, rollout, along))
     }
 }

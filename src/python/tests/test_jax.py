@@ -54,6 +54,27 @@ def test_jit_and_vmap_give_the_same_bits_and_both_modes_agree(scene):
     assert jax.vmap(slope)(speeds).tolist() == [float(slope(c)) for c in speeds]
 
 
+def test_a_jacobian_of_residuals_is_one_run_and_the_right_one(scene, monkeypatch):
+    start = scene.initial_state()
+    run = whirls.jax.rollout_jvp(scene, steps=4, every=2)
+    runs = []
+    own = whirls.jax._Plan.run
+    monkeypatch.setattr(whirls.jax._Plan, "run", lambda *given: runs.append(1) or own(*given))
+    names = ["c", "alpha", "gamma"]
+    residuals = lambda x: run(dict(zip(names, x)), *start)[1]  # noqa: E731
+    x = jnp.array([8.0, 0.5, 5.0])
+    jacobian = jax.jacfwd(residuals)(x)
+    assert len(runs) == 2
+    assert jacobian.shape == (*run({}, *start)[1].shape, 3)
+    for k in range(3):
+        one = jax.jvp(residuals, (x,), (jnp.eye(3)[k],))[1]
+        np.testing.assert_allclose(jacobian[..., k], one, rtol=1e-12, atol=1e-13)
+    points = jnp.stack([x, 1.1 * x])
+    several = jax.vmap(jax.jacfwd(residuals))(points)
+    np.testing.assert_allclose(several[0], jacobian, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(several[1], jax.jacfwd(residuals)(points[1]), rtol=1e-12, atol=1e-13)
+
+
 def test_weights_have_gradients_as_one_array():
     scene = small("rot-inv-2d")
     loss, _ = losses(scene)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Mapping
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
@@ -112,10 +112,20 @@ class Rollout:
         """The derivatives ``(δr (F, N, d), δv (F, N, d), δρ (F, N))`` of the frames along a direction: changes of
         parameters by name, and of the start, ``(N, d)``. What is left out does not change. The run is repeated with
         forward sensitivities."""
+        return self.jvps([(parameters or {}, r0, v0)])[0]
+
+    def jvps(
+        self, directions: Sequence[tuple[Mapping[str, Any], Any, Any]]
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """:meth:`jvp` along several directions ``(parameters, r0, v0)`` by one run, which costs little more for up to
+        eight; ``None`` does not change."""
         shape = self.r.shape[1:]
-        r0 = np.zeros(shape) if r0 is None else as_array(r0, shape, "the change of r0")
-        v0 = np.zeros(shape) if v0 is None else as_array(v0, shape, "the change of v0")
-        return self._native.jvp(named(parameters), r0, v0)
+
+        def change(given: Any, name: str) -> np.ndarray:
+            return np.zeros(shape) if given is None else as_array(given, shape, f"the change of {name}")
+
+        along = [(named(parameters), change(r0, "r0"), change(v0, "v0")) for parameters, r0, v0 in directions]
+        return self._native.jvp(along) if along else []
 
     def __repr__(self) -> str:
         return f"<whirls.Rollout of {self.scene.name!r}: {len(self.t)} frames to step {self.step[-1]}>"

@@ -13,7 +13,8 @@
 (64, 2)
 
 JAX allows one rule a function, so that there are two: :func:`rollout` for reverse mode (``grad``, ``vjp``, ``jacrev``),
-:func:`rollout_jvp` for forward mode (``jvp``, ``jacfwd``). Both run under ``jit``; ``vmap`` runs one after another.
+:func:`rollout_jvp` for forward mode (``jvp``, ``jacfwd``). Both run under ``jit``; ``vmap`` runs one after another, but all
+tangents of one point together, so that ``jacfwd`` is one run.
 The engine runs on the processor in double precision, so that ``jax_enable_x64`` is needed. Nothing is kept between the
 way forth and the way back: a gradient costs the run, and the run repeated with its adjoint. Errors inside ``jit`` arrive
 as errors of JAX with the words of whirls; and Ctrl-C waits for the call to end, since JAX runs it on a thread of its own.
@@ -114,6 +115,30 @@ def rollout(
     return lambda parameters, r0, v0: run(*_doubles(parameters, r0, v0))
 
 
+def _along(plan: _Plan, batched: Any, ranks: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives along tangents with leading axes of a batch: one run for all tangents of one point."""
+    leaves, tree = jax.tree.flatten(batched)
+    leaves = [np.asarray(x) for x in leaves]
+    leads = [x.shape[: x.ndim - rank] for x, rank in zip(leaves, ranks)]
+    lead = np.broadcast_shapes(*leads)
+    size = int(np.prod(lead, dtype=int))
+    # Half of the leaves are the point, half its tangents.
+    is_one_point = all(np.prod(own, dtype=int) == 1 for own in leads[: len(leads) // 2])
+    rows = []
+    for x, own in zip(leaves, leads):
+        core = x.shape[len(own):]
+        full = x.reshape((1,) * (len(lead) - len(own)) + x.shape)
+        rows.append(np.broadcast_to(full, (*lead, *core)).reshape(size, *core))
+    points = [jax.tree.unflatten(tree, [row[k] for row in rows]) for k in range(size)]
+    found = []
+    for group in [points] if is_one_point else [[point] for point in points]:
+        run = plan.run(*group[0][:3], _FORWARD)
+        found += run.jvps([point[3:] for point in group])
+    frames = (plan.steps // plan.every + 1, *leaves[-1].shape[-2:])
+    stack = [np.reshape([each[k] for each in found], (*lead, *frames)) for k in (0, 1)]
+    return stack[0], stack[1]
+
+
 def rollout_jvp(
     scene: Scene | str | os.PathLike[str] | Mapping[str, Any], steps: int, *, every: int = 1
 ) -> Run:
@@ -126,13 +151,14 @@ def rollout_jvp(
 
     @run.defjvp
     def along(primals: Any, tangents: Any) -> Any:
-        def call(parameters: Any, r0: Any, v0: Any, by: Any, by_r0: Any, by_v0: Any) -> Any:
-            found = plan.run(parameters, r0, v0, _FORWARD)
-            changes = {name: np.asarray(change) for name, change in by.items()}
-            return found.jvp(changes, np.asarray(by_r0), np.asarray(by_v0))[:2]
-
+        ranks = [len(x.shape) for x in jax.tree.leaves((primals, tangents))]
         shape = plan.frames(primals[1])
-        changed = jax.pure_callback(call, (shape, shape), *primals, *tangents, vmap_method="sequential")
+
+        def call(*batched: Any) -> Any:
+            return _along(plan, batched, ranks)
+
+        # Mapped arguments come with a leading axis, the others with one of length 1.
+        changed = jax.pure_callback(call, (shape, shape), *primals, *tangents, vmap_method="expand_dims")
         return plan.forward(*primals), changed
 
     return lambda parameters, r0, v0: run(*_doubles(parameters, r0, v0))
