@@ -213,7 +213,7 @@ impl Flow {
     }
 
     /// `E(k)` of the smoothed velocity field on a mesh.
-    fn spectrum(&self, py: Python<'_>, per_axis: usize) -> Vec<f64> {
+    fn spectrum(&self, py: Python<'_>, per_axis: Option<usize>) -> Vec<f64> {
         of_flow!(py, self, flow => spectrum(flow, &self.scene, per_axis))
     }
 }
@@ -221,9 +221,12 @@ impl Flow {
 fn spectrum<const D: usize>(
     flow: &mut whirls::Flow<D>,
     scene: &whirls::Scene,
-    per_axis: usize,
+    per_axis: Option<usize>,
 ) -> Vec<f64> {
-    let mesh = Mesh::<D> { per_axis, length: scene.fluid.box_length };
+    let mesh = match per_axis {
+        Some(along_first) => Mesh::<D>::over(scene.space(), along_first),
+        None => Mesh::of_particles(scene.space(), scene.particles()),
+    };
     let (state, densities) = (flow.state(), flow.densities());
     energy_spectrum(&mesh, &velocity_field(scene, &mesh, &state, &densities))
 }

@@ -132,10 +132,15 @@ impl Scene {
         (self.0.dimension, self.0.particles())
     }
 
-    /// `(box length, smoothing length, time step, mass)`.
-    fn units(&self) -> (f64, f64, f64, f64) {
-        let fluid = &self.0.fluid;
-        (fluid.box_length, fluid.smoothing_length, self.0.dt(), self.0.mass())
+    /// `(smoothing length, time step, mass)`.
+    fn units(&self) -> (f64, f64, f64) {
+        (self.0.fluid.smoothing_length, self.0.dt(), self.0.mass())
+    }
+
+    /// Length of each axis, and whether it is periodic.
+    fn axes(&self) -> Vec<(f64, bool)> {
+        let space = self.0.space();
+        (0..self.0.dimension).map(|axis| (space.side(axis), space.is_periodic(axis))).collect()
     }
 
     /// Parameters of the truth by name.

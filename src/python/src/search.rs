@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use whirls::flow::State;
 use whirls::learn::{Learner, Outcome};
 use whirls::run::{Given, Lesson};
-use whirls::space::PeriodicBox;
 use whirls::truth::{Truth, summed_densities};
 use whirls::{Error, Result};
 
@@ -109,7 +108,7 @@ fn observed<const D: usize>(
     for (k, state) in states.iter_mut().enumerate() {
         state.time = k as f64 * scene.observed_interval();
     }
-    let space = PeriodicBox { length: scene.fluid.box_length };
+    let space = scene.space();
     let kernel = (scene.fluid.kernel, scene.fluid.smoothing_length);
     let sum = |state: &State<D>| summed_densities(kernel, space, &state.positions);
     let densities = densities.unwrap_or_else(|| states.iter().map(sum).collect());

@@ -20,7 +20,7 @@ def test_steps_one_by_one_and_all_at_once_give_the_same_bits(scene):
     assert np.array_equal(frames.r[-1], flow.positions) and np.array_equal(frames.v[-1], flow.velocities)
     assert np.array_equal(frames.rho[-1], flow.densities)
     assert flow.time == frames.t[-1] == pytest.approx(6 * scene.dt)
-    assert ((frames.r >= 0) & (frames.r < scene.box_length)).all()
+    assert ((frames.r >= 0) & (frames.r < scene.sides)).all()
 
 
 def test_a_flow_starts_where_arrays_of_any_kind_say(scene):

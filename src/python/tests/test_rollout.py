@@ -15,7 +15,7 @@ def point(scene, seed=0):
     """A start off the lattice, cotangents of every frame, and a direction."""
     rng = np.random.default_rng(seed)
     r, v = scene.initial_state()
-    r = r + 0.05 * scene.box_length / round(scene.particles ** (1 / scene.dimension)) * rng.standard_normal(r.shape)
+    r = r + 0.05 * scene.mass ** (1 / scene.dimension) * rng.standard_normal(r.shape)
     cotangents = [rng.standard_normal((3, *shape)) for shape in (r.shape, r.shape, r.shape[:1])]
     direction = 0.1 * rng.standard_normal(r.shape), rng.standard_normal(r.shape)
     return (r, v), cotangents, direction

@@ -25,7 +25,7 @@ def test_overrides_replace_keys_and_keep_the_neighbours():
     scene = small("inverse-2d")
     finer = scene.replace({"fluid.particles_per_side": 16})
     assert finer.smoothing_length == pytest.approx(scene.smoothing_length / 2)
-    assert finer.mass == pytest.approx(finer.box_length**2 / 256)
+    assert finer.mass == pytest.approx(np.prod(finer.sides) / 256)
     assert scene.learned == ["c", "alpha", "beta", "gamma"]
 
 
@@ -49,6 +49,14 @@ def test_a_missing_file_is_an_os_error():
     with pytest.raises(whirls.FileError) as caught:
         whirls.Scene("/nowhere/scene.toml")
     assert isinstance(caught.value, OSError) and caught.value.path == "/nowhere/scene.toml"
+
+
+def test_nearest_images_are_within_half_a_period_along_periodic_axes_only():
+    scene = small("inverse-2d", fluid__boundary=["periodic", "open"])
+    side = scene.sides[0]
+    assert scene.periods.tolist() == [side, np.inf]
+    found = scene.nearest_image(np.array([[0.9 * side, 0.9 * side], [-0.6 * side, 0.1]]))
+    np.testing.assert_allclose(found, [[-0.1 * side, 0.9 * side], [0.4 * side, 0.1]])
 
 
 def test_weights_are_drawn_from_a_seed():

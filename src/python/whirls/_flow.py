@@ -165,9 +165,9 @@ class Flow:
 
     def spectrum(self, per_axis: int | None = None) -> np.ndarray:
         """``E(k)``: kinetic energy per unit mass in the shell ``k − ½ ≤ |κ| < k + ½``, ``κ`` in units of ``2π/L``, of
-        the smoothed velocity field on a mesh of ``per_axis`` nodes along each axis (default: as many as particles). The
-        sum over ``k`` is ``½⟨|u|²⟩``; shells beyond ``per_axis/2`` are incomplete."""
-        per_axis = per_axis or round(len(self.densities) ** (1 / self.scene.dimension))
+        the smoothed velocity field on a mesh of ``per_axis`` nodes along the first axis and of the same spacing along the
+        others (default: as many nodes as particles). The sum over ``k`` is ``½⟨|u|²⟩``; shells beyond ``per_axis/2`` are
+        incomplete."""
         return np.array(self._native.spectrum(per_axis))
 
     def __repr__(self) -> str:
@@ -176,7 +176,7 @@ class Flow:
 
 def _frames(scene: Scene, film: tuple[np.ndarray, ...]) -> Frames:
     t, step, r, v, rho = film
-    return Frames(t, step, r, v, rho, scene.box_length)
+    return Frames(t, step, r, v, rho, scene.sides)
 
 
 def simulate(

@@ -22,13 +22,13 @@ class Frames:
     step : (F,)
         Steps.
     r : (F, N, d)
-        Positions, inside the periodic box.
+        Positions, inside the box along periodic axes.
     v : (F, N, d)
         Velocities.
     rho : (F, N)
         Densities; NaN where they are unknown.
-    box_length : float
-        Side of the box; NaN where it is unknown.
+    sides : (d,)
+        Lengths of the box; NaN where they are unknown.
     """
 
     t: np.ndarray
@@ -36,7 +36,7 @@ class Frames:
     r: np.ndarray
     v: np.ndarray
     rho: np.ndarray
-    box_length: float = float("nan")
+    sides: np.ndarray
 
     def __len__(self) -> int:
         return len(self.t)
@@ -44,7 +44,7 @@ class Frames:
     def __getitem__(self, which: slice) -> "Frames":
         if not isinstance(which, slice):
             raise TypeError("frames are taken by slices; single ones are in .r, .v and .rho")
-        return Frames(self.t[which], self.step[which], self.r[which], self.v[which], self.rho[which], self.box_length)
+        return Frames(self.t[which], self.step[which], self.r[which], self.v[which], self.rho[which], self.sides)
 
     def to_xarray(self) -> "xarray.Dataset":
         """As an ``xarray.Dataset`` with the dimensions ``time``, ``particle``, ``axis`` (needs xarray)."""
@@ -59,7 +59,7 @@ class Frames:
                 "density": (vectors[:2], self.rho),
             },
             coords={"time": self.t, "step": ("time", self.step), "axis": axes},
-            attrs={"box_length": self.box_length},
+            attrs={"sides": self.sides},
         )
 
     def plot(self, frame: int = -1, ax: Any = None, **how: Any) -> Any:
@@ -71,7 +71,7 @@ class Frames:
             ax = plt.figure().add_subplot()
         r, v = self.r[frame], self.v[frame]
         if r.shape[1] == 3:
-            top = self.box_length if np.isfinite(self.box_length) else r[:, 2].max()
+            top = self.sides[2] if np.isfinite(self.sides[2]) else r[:, 2].max()
             seen = r[:, 2] <= top / 16
             r, v = r[seen], v[seen]
         how = {"s": 8, "c": np.linalg.norm(v, axis=1), **how}

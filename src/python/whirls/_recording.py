@@ -34,8 +34,9 @@ class Recording:
     def frames(self, flow: str = "truth", which: slice = slice(None)) -> Frames:
         """Some frames of a flow, ``"truth"`` or ``"learned"``; only these are read."""
         places = range(self._native.frame_count(flow))[which]
-        length = self.scene.box_length if self._scene else float("nan")
-        return Frames(*self._native.frames(flow, list(places)), length)
+        film = self._native.frames(flow, list(places))
+        sides = self.scene.sides if self._scene else np.full(film[2].shape[2], np.nan)
+        return Frames(*film, sides)
 
     @cached_property
     def truth(self) -> Frames:

@@ -45,7 +45,7 @@ class Rollout:
     t : (F,), step : (F,)
         Times and steps of the frames. The first frame is the start.
     r, v : (F, N, d)
-        Positions, inside the periodic box, and velocities.
+        Positions, inside the box along periodic axes, and velocities.
     rho : (F, N)
         Densities.
     parameters : dict
@@ -68,7 +68,7 @@ class Rollout:
     @property
     def frames(self) -> Frames:
         """The frames."""
-        return Frames(self.t, self.step, self.r, self.v, self.rho, self.scene.box_length)
+        return Frames(self.t, self.step, self.r, self.v, self.rho, self.scene.sides)
 
     @property
     def bytes(self) -> int:

@@ -77,24 +77,29 @@ class Scene:
         return self._native.shape()[1]
 
     @property
-    def box_length(self) -> float:
-        """Side of the periodic box."""
-        return self._native.units()[0]
+    def sides(self) -> np.ndarray:
+        """Lengths ``(d,)`` of the box."""
+        return np.array([side for side, _ in self._native.axes()])
+
+    @property
+    def periods(self) -> np.ndarray:
+        """Periods ``(d,)`` of the axes: the length of a periodic one, infinite for an open one."""
+        return np.array([side if periodic else np.inf for side, periodic in self._native.axes()])
 
     @property
     def smoothing_length(self) -> float:
         """Smoothing length ``h``; the support of the kernel is ``2h``."""
-        return self._native.units()[1]
+        return self._native.units()[0]
 
     @property
     def dt(self) -> float:
         """The time step."""
-        return self._native.units()[2]
+        return self._native.units()[1]
 
     @property
     def mass(self) -> float:
-        """Mass of each particle, ``m = ρ₀ Lᵈ/N``."""
-        return self._native.units()[3]
+        """Mass of each particle, ``m = ρ₀ V/N``."""
+        return self._native.units()[2]
 
     @property
     def steps(self) -> int:
@@ -139,14 +144,15 @@ class Scene:
         return self._native.toml()
 
     def nearest_image(self, difference: Any) -> Any:
-        """The nearest image of differences of positions: each component within half a box. Works on numpy and JAX arrays
-        and on tensors, and passes derivatives on."""
-        length = self.box_length
-        whole = difference / length
-        turns = whole.round() if hasattr(whole, "round") else round(whole)
-        # Whole turns have no derivative.
-        turns = turns.detach() if hasattr(turns, "detach") else turns
-        return difference - length * turns
+        """The nearest image of differences of positions ``(…, d)``: each component along a periodic axis within half a
+        period. Works on numpy and JAX arrays and on tensors, and passes derivatives on."""
+        periods = self.periods
+        lengths = np.where(np.isfinite(periods), periods, 0.0)
+        if hasattr(difference, "new_tensor"):
+            periods, lengths = difference.new_tensor(periods), difference.new_tensor(lengths)
+        # Whole turns have no derivative; along an open axis there are none.
+        turns = (difference / periods).round()
+        return difference - lengths * turns
 
     def __repr__(self) -> str:
         return (f"<whirls.Scene {self.name!r}: {self.particles} particles in {self.dimension}D, dt = {self.dt:.4g}, "
