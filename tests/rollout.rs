@@ -337,6 +337,10 @@ fn a_derivative_that_overflows_is_an_error_with_the_step_where_that_began() {
         (1..=6).contains(&step) && error.to_string().contains("adjoint of particle"),
         "{error}"
     );
+    let velocities = vec![Vector([1.7e308; 2]); start.positions.len()];
+    let error = rollout.jvp(&[Direction { velocities, ..Direction::default() }]).unwrap_err();
+    assert!(error.diverged_at().is_some(), "{error}");
+    assert_eq!(rollout.jvp(&[]).unwrap(), Vec::<Vec<_>>::new());
     // The rollout is whole after that.
     let given = cotangents(&rollout, 3);
     assert!(rollout.vjp(&given).is_ok());

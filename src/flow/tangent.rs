@@ -36,6 +36,14 @@ pub struct FrameTangent<const D: usize> {
     pub densities: Vec<f64>,
 }
 
+impl<const D: usize> FrameTangent<D> {
+    /// Whether every component is a finite number.
+    pub fn is_finite(&self) -> bool {
+        let vectors = self.positions.iter().chain(&self.velocities);
+        vectors.into_iter().all(|x| x.is_finite()) && self.densities.iter().all(|x| x.is_finite())
+    }
+}
+
 impl<const D: usize> Flow<D> {
     /// The flow of the model that a scene learns, with room for sensitivities along `count` directions.
     pub(crate) fn with_directions(scene: &Scene, state: &State<D>, count: usize) -> Result<Self> {

@@ -262,13 +262,7 @@ impl<const D: usize> RecordedRollout<D> {
         }
         // The run is repeated to name the step.
         in_pool(|| self.backward(&given, true))?;
-        Err(Error::Diverged {
-            step: 0,
-            time: self.start.time,
-            quantity: "the derivative by a parameter or by the initial state".to_owned(),
-            found: "is not finite".to_owned(),
-            remedy: SHORTEN.to_owned(),
-        })
+        Err(lost((0, self.start.time), "the derivative by a parameter or by the initial state"))
     }
 
     fn backward(&mut self, given: &[FrameAdjoint<D>], watches: bool) -> Result<RolloutGradient<D>> {
@@ -328,8 +322,12 @@ impl<const D: usize> RecordedRollout<D> {
     /// the run is repeated once, whatever the number of directions. Row `k` belongs to direction `k`.
     ///
     /// # Errors
-    /// [`Error::Input`] for a direction that names an unknown parameter or has another number of particles.
+    /// [`Error::Input`] for a direction that names an unknown parameter or has another number of particles;
+    /// [`Error::Diverged`] where a derivative is not finite.
     pub fn jvp(&self, directions: &[Direction<D>]) -> Result<Vec<Vec<FrameTangent<D>>>> {
+        if directions.is_empty() {
+            return Ok(Vec::new());
+        }
         let mut flow = Flow::with_directions(&self.scene, &self.start, directions.len())?;
         set(&mut flow, &self.parameters)?;
         flow.set_directions(directions)?;
@@ -342,12 +340,21 @@ impl<const D: usize> RecordedRollout<D> {
                 }
                 if step.is_multiple_of(self.plan.every) {
                     let found = flow.frame_tangents(directions.len());
+                    if !found.iter().all(FrameTangent::is_finite) {
+                        return Err(lost((step, flow.time()), "the derivative along a direction"));
+                    }
                     tangents.iter_mut().zip(found).for_each(|(all, found)| all.push(found));
                 }
             }
             Ok(tangents)
         })
     }
+}
+
+/// The error for a derivative that is not finite.
+fn lost((step, time): (u64, f64), quantity: &str) -> Error {
+    let (found, remedy) = ("is not finite".to_owned(), SHORTEN.to_owned());
+    Error::Diverged { step, time, quantity: quantity.to_owned(), found, remedy }
 }
 
 /// Sets parameters by name.

@@ -84,3 +84,15 @@ def test_frames_and_searches_are_drawn(scene):
     matplotlib.use("Agg")
     axes = whirls.simulate(scene, 1).plot()
     assert axes.collections and axes.get_title().startswith("t = ")
+
+
+def test_frames_and_recordings_are_written_for_the_viewer(tmp_path, scene):
+    pytest.importorskip("rerun")
+    frames = whirls.simulate(scene, 2, record=tmp_path / "flow.mcap")
+    for what in (frames, tmp_path / "flow.mcap", whirls.open(tmp_path / "flow.mcap")):
+        saved = tmp_path / "flow.rrd"
+        whirls.show(what, save=saved)
+        assert saved.stat().st_size > frames.r.nbytes / 10
+        saved.unlink()
+    with pytest.raises(whirls.InputError, match="a recording"):
+        whirls.show(3, save=tmp_path / "flow.rrd")

@@ -5,7 +5,7 @@
 ``simulate``    runs a flow and returns its frames; ``Flow`` is the same step by step
 ``rollout``     a run with ``vjp`` and ``jvp`` by parameters and initial state, for losses of your own
 ``learn``       the built-in search, with standard errors
-``open``        reads a recording (``.mcap``)
+``open``        reads a recording (``.mcap``); ``show`` opens it, or frames, in the Rerun viewer
 ``whirls.jax``  the rollout as a function that JAX differentiates; ``whirls.torch`` the same for PyTorch
 =============== ==========================================================================================
 
@@ -23,6 +23,7 @@ from ._learn import Learned, learn
 from ._recording import Recording, open
 from ._rollout import Rollout, rollout
 from ._scene import Scene, shipped
+from ._show import show
 
 __version__ = _version("whirls")
 
@@ -41,5 +42,6 @@ __all__ = [
     "open",
     "rollout",
     "shipped",
+    "show",
     "simulate",
 ]
