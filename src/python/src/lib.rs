@@ -12,8 +12,16 @@ mod rollout;
 mod scene;
 mod search;
 
+/// Version of the package.
+#[pyo3::pyfunction]
+fn version() -> &'static str {
+    env!("CARGO_PKG_VERSION")
+}
+
 #[pyo3::pymodule]
 mod _whirls {
+    #[pymodule_export]
+    use super::version;
     #[pymodule_export]
     use crate::flow::Flow;
     #[pymodule_export]

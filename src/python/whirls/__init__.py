@@ -14,8 +14,7 @@ Arrays are numpy arrays of float64, ``(N, d)`` for particles and ``(F, N, d)`` f
 wide unless a scene says otherwise. Errors are :class:`Error` with what was expected, what was found and what to do.
 """
 
-from importlib.metadata import version as _version
-
+from . import _whirls
 from ._errors import DivergedError, Error, FileError, InputError
 from ._flow import Flow, simulate
 from ._frames import Frames
@@ -25,7 +24,7 @@ from ._rollout import Rollout, rollout
 from ._scene import Scene, shipped
 from ._show import show
 
-__version__ = _version("whirls")
+__version__ = _whirls.version()
 
 __all__ = [
     "DivergedError",

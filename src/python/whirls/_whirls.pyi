@@ -9,6 +9,7 @@ _Doubles = NDArray[np.float64]
 _Film = tuple[_Doubles, NDArray[np.uint64], _Doubles, _Doubles, _Doubles]
 _Named = list[tuple[str, float]]
 
+def version() -> str: ...
 def shipped() -> list[str]: ...
 def learn(
     scene: Scene,

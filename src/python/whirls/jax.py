@@ -132,7 +132,8 @@ def _along(plan: _Plan, batched: Any, ranks: list[int]) -> tuple[np.ndarray, np.
     points = [jax.tree.unflatten(tree, [row[k] for row in rows]) for k in range(size)]
     found = []
     for group in [points] if is_one_point else [[point] for point in points]:
-        run = plan.run(*group[0][:3], _FORWARD)
+        parameters, r0, v0 = group[0][:3]
+        run = plan.run(parameters, r0, v0, _FORWARD)
         found += run.jvps([point[3:] for point in group])
     frames = (plan.steps // plan.every + 1, *leaves[-1].shape[-2:])
     stack = [np.reshape([each[k] for each in found], (*lead, *frames)) for k in (0, 1)]
