@@ -38,6 +38,16 @@ pub fn listen() -> std::io::Result<()> {
     Ok(())
 }
 
+/// Asks every run to stop, as the signal would: for a host program with handlers of its own, such as Python.
+pub fn request(signal: u8) {
+    RECEIVED.get_or_init(Arc::default).store(usize::from(signal), Ordering::Relaxed);
+}
+
+/// Forgets that a signal was received or requested, so that later runs are not stopped by it.
+pub fn forget() {
+    request(0);
+}
+
 /// The signal that asked to stop, if one has.
 pub fn received() -> Option<u8> {
     let signal = RECEIVED.get()?.load(Ordering::Relaxed);

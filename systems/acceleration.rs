@@ -260,7 +260,7 @@ fn add_shares<const D: usize>(
     law: &PairTerm<D>,
     (neighbourhood, scratch): (Neighbourhood<'_>, &mut Scratch),
     (mut blocks, add): (Vec<&mut [Vector<F64x8, D>]>, bool),
-    weights: &[&[(usize, usize)]],
+    weights: &[&[(usize, usize, f64)]],
 ) {
     let count = law.model.network().map_or(0, |network| network.weights.len());
     let mut shares = std::mem::take(&mut scratch.shares);
@@ -274,9 +274,9 @@ fn add_shares<const D: usize>(
                 if !add {
                     *a = Vector([F64x8::ZERO; D]);
                 }
-                for &(lane, weight) in *weights {
+                for &(lane, weight, by) in *weights {
                     for axis in 0..D {
-                        let share = a[axis].lane(lane) + shares[axis * count + weight];
+                        let share = a[axis].lane(lane) + shares[axis * count + weight] * by;
                         a[axis].set_lane(lane, share);
                     }
                 }

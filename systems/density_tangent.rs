@@ -187,8 +187,8 @@ pub(super) struct StressColumns<'a> {
     pub(super) density: &'a [F64x8],
     /// `∂(the model's scalar parameters)/∂(the eight learned parameters)`.
     pub(super) directions: &'a [F64x8],
-    /// `(lane, place in the network)` of the block's weights.
-    pub(super) weights: &'a [(usize, usize)],
+    /// `(lane, place in the network, ∂weight/∂lane)` of the block.
+    pub(super) weights: &'a [(usize, usize, f64)],
 }
 
 /// `δAᵢ = ∂A/∂ρ δρᵢ + ∂A/∂θ` of some particles and all blocks of parameters. `A(ρ)` is
@@ -248,8 +248,8 @@ impl<const D: usize> SimdTask for Fill<'_, D> {
             self;
         let mut direct = [F64x8::ZERO; WIDTH];
         if let Some(by_weight) = by_weight {
-            for &(column, weight) in columns.weights {
-                direct[column] = by_weight[weight];
+            for &(lane, weight, by) in columns.weights {
+                direct[lane] += by_weight[weight] * F64x8::of(by);
             }
         }
         let direct = transposed::<W>(&direct);

@@ -15,6 +15,7 @@
 //! | [`acceleration`] | pair forces of one law or several | `Force` |
 //! | [`forcing`], [`particle_force`] | forces on each particle | `Forcing` |
 //! | [`loss`] | comparison with a truth | `Loss` |
+//! | [`cotangents`] | derivatives of a caller's loss, backwards | `Loss` |
 //! | [`watch`] | limits | `Watch` |
 //!
 //! A direct numerical simulation is a World of its own, [`dns`].
@@ -43,6 +44,7 @@
 pub mod acceleration;
 #[doc(hidden)]
 pub mod columns;
+pub mod cotangents;
 pub mod density;
 #[doc(hidden)]
 pub mod density_tangent;

@@ -23,7 +23,7 @@
 //! # Ok::<(), whirls::Error>(())
 //! ```
 
-use super::acceleration::TransposedLists;
+use super::acceleration::{Laws, TransposedLists};
 use super::density_tangent::DensityJacobian;
 use super::near::Pairs;
 use super::neighbours::Neighbours;
@@ -355,6 +355,9 @@ pub(super) fn pairs_of<const D: usize>(world: &World) -> Pairs<'_> {
     )
 }
 
+/// Derivatives by the eight lanes of a block: `(lane, place, ∂(what has that place)/∂lane)`.
+pub type LaneDerivatives = Vec<(usize, usize, f64)>;
+
 /// One block of sensitivities of all particles, in cell order.
 #[derive(Clone, Debug)]
 pub struct SensitivityBlock<const D: usize> {
@@ -364,20 +367,49 @@ pub struct SensitivityBlock<const D: usize> {
     pub density: Vec<F64x8>,
     /// `δF` per slot.
     pub acceleration: Vec<Vector<F64x8, D>>,
-    /// The learned parameters: `(lane, place in the flat vector)`.
-    pub columns: Vec<(usize, usize)>,
-    /// Of each pair law, in order: `∂(its scalar parameters)/∂(the eight learned parameters)`.
+    /// Those of parameters, by their places in the flat vector: one where the lane is the parameter.
+    pub columns: LaneDerivatives,
+    /// Of each pair law, in order: `∂(its scalar parameters)/∂(the eight lanes)`.
     pub directions: Vec<Vec<F64x8>>,
-    /// Of each pair law, in order: `(lane, place in its network)` of its weights among the eight.
-    pub weights: Vec<Vec<(usize, usize)>>,
+    /// Of each pair law, in order: those of its weights, by their places in its network.
+    pub weights: Vec<LaneDerivatives>,
 }
 
 impl<const D: usize> SensitivityBlock<D> {
-    /// `∂(the parameter at a place of the flat vector)/∂(the eight learned parameters)`: 1 in its
-    /// lane, or zero.
+    /// A block of `count` particles, all zero, whose lanes are these derivatives of the parameters.
+    pub(crate) fn new(count: usize, columns: LaneDerivatives) -> Self {
+        Self {
+            packed: vec![PackedSensitivity::ZERO; count],
+            density: vec![F64x8::ZERO; count],
+            acceleration: vec![Vector([F64x8::ZERO; D]); count],
+            columns,
+            directions: Vec::new(),
+            weights: Vec::new(),
+        }
+    }
+
+    /// `∂(the parameter at a place of the flat vector)/∂(the eight lanes)`.
     pub fn direction(&self, place: usize) -> F64x8 {
-        let column = self.columns.iter().find(|(_, own)| *own == place);
-        column.map_or(F64x8::ZERO, |&(lane, _)| F64x8::unit(lane))
+        let mut direction = F64x8::ZERO;
+        for &(lane, _, by) in self.columns.iter().filter(|(_, own, _)| *own == place) {
+            direction.set_lane(lane, by);
+        }
+        direction
+    }
+
+    /// Takes [`Self::directions`] and [`Self::weights`] of every law from the columns.
+    pub(crate) fn seed(&mut self, laws: &Laws<D>) {
+        self.directions.clear();
+        self.weights.clear();
+        for law in laws.all() {
+            let directions = law.scalars().iter().map(|&place| self.direction(place)).collect();
+            self.directions.push(directions);
+            let of_law = |&(lane, place, by): &(usize, usize, f64)| {
+                let weight = law.weights().iter().position(|own| *own == place)?;
+                Some((lane, weight, by))
+            };
+            self.weights.push(self.columns.iter().filter_map(of_law).collect());
+        }
     }
 }
 

@@ -116,6 +116,13 @@ impl<const D: usize> Tape<D> {
         self.frames.push(frame);
     }
 
+    /// Records the derivatives of a loss of a frame, particle `k` in row `k`.
+    pub(crate) fn push_cotangent(&mut self, frame: &FrameAdjoint<D>) {
+        let mut kept = self.spare.1.pop().unwrap_or_default();
+        kept.clone_from(frame);
+        self.frames.push(kept);
+    }
+
     /// Records a force evaluation.
     fn push(&mut self, evaluated: &EvaluatedPairs<'_, D>, step: u64) {
         let EvaluatedPairs { neighbours, inputs, densities } = evaluated;

@@ -1,7 +1,8 @@
 //! Backward runs of a flow: snapshots forwards, pullbacks backwards.
 
-use super::{Flow, State, in_pool};
+use super::{Flow, Request, State, in_pool};
 use crate::error::Result;
+use crate::scene::Scene;
 use crate::systems::columns::{Column, KeptColumn};
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
@@ -9,7 +10,7 @@ use crate::systems::particles::{
     Acceleration, AccelerationAdjoint, AdjointCloud, ParticleId, Particles, Position,
     PositionAdjoint, Velocity, VelocityAdjoint,
 };
-use crate::systems::tape::Tape;
+use crate::systems::tape::{FrameAdjoint, Tape};
 use crate::systems::verlet::Clock;
 use crate::vector::Vector;
 
@@ -35,6 +36,20 @@ impl<const D: usize> Snapshot<D> {
 }
 
 impl<const D: usize> Flow<D> {
+    /// The flow of the model that a scene learns, with an adjoint of a loss that is known only by its cotangents,
+    /// [`Self::give_cotangent`].
+    pub(crate) fn with_cotangents(scene: &Scene, state: &State<D>) -> Result<Self> {
+        Self::must_fit(scene)?;
+        Self::assemble(Request { adjoint: true, ..Request::of_model(scene, state) })
+    }
+
+    /// Gives the derivatives of a loss of the frame at the current step of the backward sweep, before its adjoint runs.
+    pub(crate) fn give_cotangent(&mut self, frame: &FrameAdjoint<D>) {
+        if let Some(mut tape) = self.world.get_resource_mut::<Tape<D>>() {
+            tape.push_cotangent(frame);
+        }
+    }
+
     /// A snapshot of a started flow.
     pub fn snapshot(&mut self) -> Snapshot<D> {
         let columns: Vec<Column> = self.terms.iter().flat_map(|term| term.columns()).collect();

@@ -3,10 +3,10 @@
 use super::{Differentiation, State};
 use crate::error::{Error, Result};
 use crate::models::Model;
-use crate::packed::PackedSensitivity;
 use crate::parameters::Parameters;
 use crate::scalar::{F64x8, WIDTH};
 use crate::scene::Scene;
+use crate::sensitivity::Coupling;
 use crate::systems::acceleration::{Laws, PairForces, PairTerm};
 use crate::systems::density::DensitySummation;
 use crate::systems::forcing;
@@ -15,9 +15,9 @@ use crate::systems::neighbours::{NeighbourSearch, Neighbours};
 use crate::systems::packing::Packing;
 use crate::systems::particles::{
     Acceleration, AccelerationAdjoint, AccelerationSensitivity, Accelerations, AdjointCloud,
-    BlockOf, Densities, Density, PairInputs, ParticleId, Particles, Position, PositionAdjoint,
-    PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity, VelocityAdjoint,
-    VelocitySensitivity,
+    BlockOf, Densities, Density, LaneDerivatives, PairInputs, ParticleId, Particles, Position,
+    PositionAdjoint, PositionSensitivity, SensitivityBlock, SensitivityCloud, Velocity,
+    VelocityAdjoint, VelocitySensitivity,
 };
 use crate::systems::tape::Tape;
 use crate::systems::term::Term;
@@ -132,49 +132,47 @@ pub(super) fn spawn_particles<const D: usize>(world: &mut World, state: &State<D
     world.resource_mut::<Clock>().start = state.time;
 }
 
+/// The derivatives of the parameters by the lanes of every block, where each learned parameter is a lane.
+///
+/// # Errors
+/// [`Error::Input`] for a parameter that no term has.
+pub(super) fn lanes_of(
+    differentiation: &Differentiation,
+    parameters: &Parameters,
+) -> Result<Vec<LaneDerivatives>> {
+    let place = |name| parameters.place(name).ok_or_else(|| parameters.unknown(name));
+    let places: Vec<usize> = differentiation.parameters.iter().map(place).collect::<Result<_>>()?;
+    let block = |own: &[usize]| own.iter().enumerate().map(|(lane, &p)| (lane, p, 1.0)).collect();
+    Ok(places.chunks(WIDTH).map(block).collect())
+}
+
+/// Spawns blocks of sensitivities, all zero, with the derivatives of the parameters by their lanes.
 pub(super) fn spawn_sensitivities<const D: usize>(
     world: &mut World,
     count: usize,
-    (differentiation, parameters): (&Differentiation, &Parameters),
-) -> Result<()> {
-    let blocks = differentiation.parameters.len().div_ceil(WIDTH);
-    let mut cloud = SensitivityCloud::<D> {
-        blocks: Vec::new(),
-        coupling: differentiation.coupling,
-        p_over_rho2_slopes: Vec::new(),
-        pulls: Vec::new(),
-        slopes: Vec::new(),
-    };
+    (coupling, lanes): (Coupling, Vec<LaneDerivatives>),
+) {
     // All at once: a table that grows reserves twice its size.
-    world.spawn_batch((0..blocks * count).map(|row| {
+    world.spawn_batch((0..lanes.len() * count).map(|row| {
         let zero = no_change::<D>();
         let of = BlockOf { particle: (row % count) as u32, block: (row / count) as u32 };
         let moving = (PositionSensitivity(zero), VelocitySensitivity(zero));
         (of, moving, AccelerationSensitivity(zero))
     }));
-    let place = |name| parameters.place(name).ok_or_else(|| parameters.unknown(name));
-    let places: Vec<usize> = differentiation.parameters.iter().map(place).collect::<Result<_>>()?;
-    for own in places.chunks(WIDTH) {
-        let mut block = SensitivityBlock {
-            packed: vec![PackedSensitivity::ZERO; count],
-            density: vec![F64x8::ZERO; count],
-            acceleration: vec![no_change(); count],
-            columns: own.iter().copied().enumerate().collect(),
-            directions: Vec::new(),
-            weights: Vec::new(),
-        };
-        for law in world.resource::<Laws<D>>().all() {
-            let directions = law.scalars().iter().map(|&place| block.direction(place));
-            block.directions.push(directions.collect());
-            let of_law = |&(lane, place): &(usize, usize)| {
-                law.weights().iter().position(|own| *own == place).map(|weight| (lane, weight))
-            };
-            block.weights.push(block.columns.iter().filter_map(of_law).collect());
-        }
-        cloud.blocks.push(block);
-    }
-    world.insert_resource(cloud);
-    Ok(())
+    let laws = world.resource::<Laws<D>>();
+    let blocks = lanes.into_iter().map(|columns| {
+        let mut block = SensitivityBlock::new(count, columns);
+        block.seed(laws);
+        block
+    });
+    let blocks = blocks.collect();
+    world.insert_resource(SensitivityCloud::<D> {
+        blocks,
+        coupling,
+        p_over_rho2_slopes: Vec::new(),
+        pulls: Vec::new(),
+        slopes: Vec::new(),
+    });
 }
 
 pub(super) fn insert_adjoint<const D: usize>(world: &mut World, parameters: usize) {

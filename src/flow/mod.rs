@@ -8,11 +8,13 @@ pub mod initial;
 mod law;
 mod measure;
 mod state;
+mod tangent;
 
 pub use adjoint::Snapshot;
 pub use held::MemoryReport;
 pub(crate) use measure::Rows;
 pub use state::{State, Stream, stream};
+pub use tangent::{Direction, FrameTangent};
 
 use crate::error::{Error, Result};
 use crate::interrupt;
@@ -23,6 +25,7 @@ use crate::scene::Scene;
 use crate::sensitivity::Coupling;
 use crate::space::Space;
 use crate::systems::Needs;
+use crate::systems::cotangents::Cotangents;
 use crate::systems::loss::{LossSum, Losses, Observations, losses};
 use crate::systems::neighbours::Neighbours;
 use crate::systems::particles::{
@@ -36,8 +39,8 @@ use crate::systems::watch::Failure;
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use build::{
-    insert_adjoint, insert_motion, laws_of, no_change, parameters_of, place_laws, spawn_particles,
-    spawn_sensitivities, terms_of,
+    insert_adjoint, insert_motion, lanes_of, laws_of, no_change, parameters_of, place_laws,
+    spawn_particles, spawn_sensitivities, terms_of,
 };
 use std::any::Any;
 
@@ -75,6 +78,28 @@ struct Request<const D: usize> {
     differentiation: Option<Differentiation>,
     observations: Option<Observations<D>>,
     adjoint: bool,
+    /// Number of directions of sensitivities that are not those of single parameters.
+    directions: usize,
+}
+
+impl<const D: usize> Request<D> {
+    /// A forward run of a model from a state.
+    fn new(scene: &Scene, state: &State<D>, model: Source<D>) -> Self {
+        Self {
+            scene: scene.clone(),
+            model,
+            state: state.clone(),
+            differentiation: None,
+            observations: None,
+            adjoint: false,
+            directions: 0,
+        }
+    }
+
+    /// A run of the model that a scene learns.
+    fn of_model(scene: &Scene, state: &State<D>) -> Self {
+        Self::new(scene, state, Source::Scene(scene.model()))
+    }
 }
 
 /// The source of the model.
@@ -118,14 +143,7 @@ impl<const D: usize> Flow<D> {
     pub fn from_state(scene: &Scene, state: &State<D>) -> Result<Self> {
         Self::must_fit(scene)?;
         let choice = scene.law.as_ref().map_or(ModelChoice::Physics, |law| law.model.clone());
-        let mut flow = Self::assemble(Request {
-            scene: scene.clone(),
-            model: Source::Scene(choice),
-            state: state.clone(),
-            differentiation: None,
-            observations: None,
-            adjoint: false,
-        })?;
+        let mut flow = Self::assemble(Request::new(scene, state, Source::Scene(choice)))?;
         scene.law.iter().try_for_each(|law| law.set(&mut flow))?;
         Ok(flow)
     }
@@ -139,14 +157,8 @@ impl<const D: usize> Flow<D> {
         observations: Option<Observations<D>>,
     ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Self::assemble(Request {
-            scene: scene.clone(),
-            model: Source::Scene(scene.model()),
-            state: state.clone(),
-            differentiation: differentiation.cloned(),
-            observations,
-            adjoint: false,
-        })
+        let differentiation = differentiation.cloned();
+        Self::assemble(Request { differentiation, observations, ..Request::of_model(scene, state) })
     }
 
     /// The flow of a scene with a user's model; see [`crate::models`] for how to write one.
@@ -156,14 +168,7 @@ impl<const D: usize> Flow<D> {
         model: Box<dyn Model<D>>,
     ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Self::assemble(Request {
-            scene: scene.clone(),
-            model: Source::Caller(model),
-            state: state.clone(),
-            differentiation: None,
-            observations: None,
-            adjoint: false,
-        })
+        Self::assemble(Request::new(scene, state, Source::Caller(model)))
     }
 
     /// The flow of a scene with observations and an adjoint.
@@ -173,14 +178,8 @@ impl<const D: usize> Flow<D> {
         observations: Observations<D>,
     ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Self::assemble(Request {
-            scene: scene.clone(),
-            model: Source::Scene(scene.model()),
-            state: state.clone(),
-            differentiation: None,
-            observations: Some(observations),
-            adjoint: true,
-        })
+        let observations = Some(observations);
+        Self::assemble(Request { observations, adjoint: true, ..Request::of_model(scene, state) })
     }
 
     /// Passes a request to the code of its dimension, which is compiled once, in this crate: a
@@ -236,12 +235,16 @@ impl<const D: usize> Flow<D> {
     }
 
     fn with_model(request: Request<D>, model: Box<dyn Model<D>>) -> Result<Self> {
-        let Request { scene, state, differentiation, observations, adjoint, .. } = request;
-        let needs =
-            Needs { step: scene.time.step, sensitivities: differentiation.is_some(), adjoint };
+        let Request { scene, state, differentiation, observations, adjoint, directions, .. } =
+            request;
+        let sensitivities = differentiation.is_some() || directions > 0;
+        let needs = Needs { step: scene.time.step, sensitivities, adjoint };
         let mut laws = laws_of(&scene, model);
         let losses = observations.as_ref().map(|observed| Losses(losses(observed)));
-        let terms = terms_of(&scene, &laws, losses.as_ref())?;
+        let mut terms = terms_of(&scene, &laws, losses.as_ref())?;
+        if adjoint && losses.is_none() {
+            terms.push(Box::new(Cotangents));
+        }
         let (parameters, places) = parameters_of(&terms)?;
         place_laws(&mut laws, &terms, &places);
         let programs = Programs::of(&terms, &needs)?;
@@ -255,9 +258,13 @@ impl<const D: usize> Flow<D> {
         if adjoint {
             insert_adjoint::<D>(&mut world, parameters.len());
         }
+        let count = state.positions.len();
         if let Some(differentiation) = &differentiation {
-            let by = (differentiation, &parameters);
-            spawn_sensitivities::<D>(&mut world, state.positions.len(), by)?;
+            let lanes = lanes_of(differentiation, &parameters)?;
+            spawn_sensitivities::<D>(&mut world, count, (differentiation.coupling, lanes));
+        } else if directions > 0 {
+            let lanes = vec![Vec::new(); directions.div_ceil(WIDTH)];
+            spawn_sensitivities::<D>(&mut world, count, (Coupling::Full, lanes));
         }
         let columns = differentiation.map(|d| d.parameters).unwrap_or_default();
         if let (Some(observations), Some(losses)) = (observations, losses) {

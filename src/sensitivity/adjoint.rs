@@ -6,12 +6,15 @@
 //! minimises the repetitions. All three perform the same operations on the same numbers and give
 //! the same bits.
 
+use super::SHORTEN;
 use crate::error::{Error, Result};
 use crate::flow::{Flow, Snapshot, State, in_pool};
+use crate::interrupt;
 use crate::systems::loss::LossSum;
 use crate::systems::neighbours::Neighbours;
 use crate::systems::tape::FrameAdjoint;
 use crate::systems::verlet::Integrator;
+use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 
 /// What is kept during the forward sweep.
@@ -54,7 +57,7 @@ pub fn adjoint_gradient<const D: usize>(
     flow.reset(state);
     flow.clear_adjoint();
     let particles = state.positions.len();
-    let mut run = Run { flow, steps_run: 0, bytes: 0, particles, held: 0 };
+    let mut run = Run::new(flow, particles, &[]);
     // The whole run stays in the pool: steps are short, and waking a thread for each would cost a
     // thirtieth of the time.
     let loss = in_pool(|| match storage {
@@ -71,7 +74,7 @@ pub fn adjoint_gradient<const D: usize>(
 }
 
 /// Number of snapshots that fit into a budget beside the tape of one step; all in bytes.
-fn snapshots_within(budget: usize, tape: usize, snapshot: usize) -> Result<usize> {
+pub(super) fn snapshots_within(budget: usize, tape: usize, snapshot: usize) -> Result<usize> {
     if budget < tape + snapshot {
         return Err(Error::input(
             "learn.storage",
@@ -83,24 +86,96 @@ fn snapshots_within(budget: usize, tape: usize, snapshot: usize) -> Result<usize
     Ok((budget - tape) / snapshot)
 }
 
-struct Run<'a, const D: usize> {
+/// A backward sweep, with the forward steps that it repeats.
+pub(super) struct Run<'a, const D: usize> {
     flow: &'a mut Flow<D>,
     steps_run: u64,
-    bytes: usize,
+    /// Largest memory of tape and snapshots, in bytes.
+    pub(super) bytes: usize,
     particles: usize,
     /// Number of snapshots held.
     held: usize,
+    /// Cotangents of frames that are given from outside, in order of step.
+    given: &'a [FrameAdjoint<D>],
+    /// Whether a derivative that is not finite ends the sweep with the step at which it first occurred.
+    pub(super) watches: bool,
 }
 
-impl<const D: usize> Run<'_, D> {
+impl<'a, const D: usize> Run<'a, D> {
+    /// A sweep over a flow of so many particles, to which cotangents are given at frames.
+    pub(super) fn new(
+        flow: &'a mut Flow<D>,
+        particles: usize,
+        given: &'a [FrameAdjoint<D>],
+    ) -> Self {
+        Self { flow, steps_run: 0, bytes: 0, particles, held: 0, given, watches: false }
+    }
+
+    /// The adjoint of the step just completed, with the cotangent of its frame.
+    fn retreat(&mut self) -> Result<()> {
+        interrupt::check()?;
+        let step = self.flow.steps();
+        self.give(step);
+        self.flow.retreat();
+        match self.watches {
+            true => self.must_be_finite(step),
+            false => Ok(()),
+        }
+    }
+
+    fn give(&mut self, step: u64) {
+        if let Ok(found) = self.given.binary_search_by_key(&step, |frame| frame.step) {
+            self.flow.give_cotangent(&self.given[found]);
+        }
+    }
+
+    fn must_be_finite(&mut self, step: u64) -> Result<()> {
+        let (positions, velocities) = self.flow.state_adjoint();
+        let lost = |(r, v): (&Vector<f64, D>, &Vector<f64, D>)| !(r.is_finite() && v.is_finite());
+        let Some(particle) = positions.iter().zip(&velocities).position(lost) else {
+            return Ok(());
+        };
+        Err(Error::Diverged {
+            step,
+            time: self.flow.time(),
+            quantity: format!(
+                "the adjoint of particle {particle}, on the way back through this step,"
+            ),
+            found: "is not finite".to_owned(),
+            remedy: SHORTEN.to_owned(),
+        })
+    }
+
+    /// Runs the adjoint of `steps` steps that are on the tape, and of the start.
+    pub(super) fn all_on_tape(&mut self, steps: u64) -> Result<()> {
+        (0..steps).try_for_each(|_| self.retreat())?;
+        self.give(0);
+        self.flow.back_to_start();
+        Ok(())
+    }
+
+    /// Runs the adjoint of `steps` steps from the snapshot `first`, with room for `snapshots`, and of the start, the
+    /// evaluation of which is on the tape.
+    pub(super) fn by_snapshots(
+        &mut self,
+        first: &Snapshot<D>,
+        (steps, snapshots): (u64, usize),
+    ) -> Result<()> {
+        self.held = 1;
+        self.flow.restore(first);
+        self.reverse(first, steps, snapshots)?;
+        self.give(0);
+        self.flow.back_to_start();
+        Ok(())
+    }
+
     fn with_everything(&mut self, steps: u64) -> Result<LossSum> {
         self.flow.keep_evaluations(true);
         self.flow.start()?;
         self.flow.advance_by(steps)?;
         self.steps_run = steps;
         self.bytes = self.flow.tape_bytes();
-        (0..steps).for_each(|_| self.flow.retreat());
-        self.flow.back_to_start();
+        self.all_on_tape(steps)?;
         Ok(self.flow.loss())
     }
 
@@ -116,20 +191,17 @@ impl<const D: usize> Run<'_, D> {
         self.flow.keep_evaluations(false);
         let (tape, lists) = (self.flow.tape_bytes(), self.lists());
         let first = self.flow.snapshot();
-        self.held = 1;
         self.flow.advance_by(steps)?;
         self.steps_run += steps;
         let loss = self.flow.loss();
         let snapshots = room(tape + self.step_bytes(&lists))?;
-        self.flow.restore(&first);
-        self.reverse(&first, steps, snapshots)?;
-        self.flow.back_to_start();
+        self.by_snapshots(&first, (steps, snapshots))?;
         self.flow.set_loss(loss.clone());
         Ok(loss)
     }
 
     /// Bytes of the current neighbour lists and of their masks, chunk by chunk.
-    fn lists(&self) -> Vec<usize> {
+    pub(super) fn lists(&self) -> Vec<usize> {
         let neighbours = self.flow.world().resource::<Neighbours<D>>();
         neighbours.chunks.iter().map(|chunk| chunk.bytes() + chunk.most_masks()).collect()
     }
@@ -137,7 +209,7 @@ impl<const D: usize> Run<'_, D> {
     /// Largest memory that one step adds to the tape, after a forward sweep that began with
     /// `lists`. A chunk's list never shrinks during the sweep, so that its size at the end is the
     /// largest.
-    fn step_bytes(&self, lists: &[usize]) -> usize {
+    pub(super) fn step_bytes(&self, lists: &[usize]) -> usize {
         let most = self.lists().into_iter().zip(lists).map(|(end, &start)| end.max(start));
         let lists: usize = most.sum();
         let evaluation = 64 * (self.particles + 1) + 4 * self.particles + lists;
@@ -177,8 +249,7 @@ impl<const D: usize> Run<'_, D> {
         self.steps_run += 1;
         let snapshots = self.held * Snapshot::<D>::BYTES * self.particles;
         self.bytes = self.bytes.max(self.flow.tape_bytes() + snapshots);
-        self.flow.retreat();
-        Ok(())
+        self.retreat()
     }
 }
 

@@ -10,10 +10,12 @@
 mod adjoint;
 mod check;
 mod growth;
+mod rollout;
 
 pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
 pub use check::{ComparedSlope, compare_along_gradient, compare_component};
 pub use growth::{Growth, SHORTEN, USEFUL, sensitivity_growth};
+pub use rollout::{Frame, RecordedRollout, RolloutGradient, RolloutPlan};
 
 use serde::{Deserialize, Serialize};
 
