@@ -23,6 +23,7 @@ use rayon::prelude::*;
 
 /// A pair law, with the places of its parameters in the flat vector.
 #[derive(Debug)]
+#[doc(hidden)]
 pub struct PairTerm<const D: usize> {
     /// Its name.
     pub name: String,
@@ -74,6 +75,7 @@ impl<const D: usize> PairTerm<D> {
 /// The pair laws of a World: the model that a scene learns, which also defines the densities, and
 /// the laws added to it.
 #[derive(Resource, Debug)]
+#[doc(hidden)]
 pub struct Laws<const D: usize> {
     /// The model.
     pub model: PairTerm<D>,
@@ -101,6 +103,7 @@ impl<const D: usize> Laws<D> {
 /// Term: the forces of a pair law. The term of the first law, the model, runs the systems of all
 /// laws.
 #[derive(Clone, Debug)]
+#[doc(hidden)]
 pub struct PairForces {
     /// Number of the law in [`Laws::all`].
     pub law: usize,
@@ -346,6 +349,7 @@ fn fetch_shares<const D: usize>(adjoint: &mut AdjointCloud<D>) {
 /// The neighbour lists transposed: for each particle, the lists that contain it and its place in
 /// them.
 #[derive(Clone, Debug, Default)]
+#[doc(hidden)]
 pub struct TransposedLists {
     /// Whether `start` and `places` belong to the current lists.
     known: bool,

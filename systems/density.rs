@@ -28,6 +28,7 @@ use rayon::prelude::*;
 
 /// Term: density by summation, and the model's function of density, `A(ρ)`.
 #[derive(Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct DensitySummation;
 
 impl<const D: usize> Term<D> for DensitySummation {

@@ -44,10 +44,12 @@
 pub mod acceleration;
 #[doc(hidden)]
 pub mod columns;
+#[doc(hidden)]
 pub mod cotangents;
 pub mod density;
 #[doc(hidden)]
 pub mod density_tangent;
+#[doc(hidden)]
 pub mod dns;
 pub mod forcing;
 pub mod loss;

@@ -9,6 +9,7 @@ use bevy_ecs::prelude::*;
 
 /// Term: the neighbour lists.
 #[derive(Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct NeighbourSearch;
 
 impl<const D: usize> Term<D> for NeighbourSearch {

@@ -108,6 +108,7 @@ pub struct Density(pub f64);
 /// Blocks are entities of their own, spawned block by block, so that their columns lie block-major
 /// in memory and a scene that learns `p` parameters has `⌈p/8⌉` of them per particle.
 #[derive(Component, Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct BlockOf {
     /// [`ParticleId`] of the particle.
     pub particle: u32,
@@ -193,6 +194,7 @@ pub(super) fn side_by_side<T>(columns: Vec<&mut [T]>) -> Vec<Vec<&mut [T]>> {
 
 /// The adjoint variables of one force evaluation, in cell order; absent where no adjoint is run.
 #[derive(Resource, Clone, Debug, Default)]
+#[doc(hidden)]
 pub struct AdjointCloud<const D: usize> {
     /// `∂L/∂F` and `∂L/∂ρ` per slot, and a zero element at the end for the sentinel.
     pub packed: Vec<PackedAdjoint>,
@@ -319,6 +321,7 @@ pub struct Accelerations<const D: usize>(pub Vec<Vector<f64, D>>);
 
 /// All pairs of the last summation of densities, as an argument of a system.
 #[derive(bevy_ecs::system::SystemParam)]
+#[doc(hidden)]
 pub struct EvaluatedPairs<'w, const D: usize> {
     /// The lists.
     pub neighbours: Res<'w, Neighbours<D>>,
@@ -356,10 +359,12 @@ pub(super) fn pairs_of<const D: usize>(world: &World) -> Pairs<'_> {
 }
 
 /// Derivatives by the eight lanes of a block: `(lane, place, ∂(what has that place)/∂lane)`.
+#[doc(hidden)]
 pub type LaneDerivatives = Vec<(usize, usize, f64)>;
 
 /// One block of sensitivities of all particles, in cell order.
 #[derive(Clone, Debug)]
+#[doc(hidden)]
 pub struct SensitivityBlock<const D: usize> {
     /// One entry per slot.
     pub packed: Vec<PackedSensitivity<D>>,
@@ -415,6 +420,7 @@ impl<const D: usize> SensitivityBlock<D> {
 
 /// The sensitivity blocks of a World that learns; absent where nothing is learned.
 #[derive(Resource, Clone, Debug)]
+#[doc(hidden)]
 pub struct SensitivityCloud<const D: usize> {
     /// `⌈p/8⌉` blocks.
     pub blocks: Vec<SensitivityBlock<D>>,
@@ -430,6 +436,7 @@ pub struct SensitivityCloud<const D: usize> {
 
 /// The scratch buffers in which threads evaluate a model.
 #[derive(Debug, Default)]
+#[doc(hidden)]
 pub struct ScratchPool(Pool<Scratch>);
 
 impl ScratchPool {

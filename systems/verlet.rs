@@ -97,6 +97,7 @@ impl Clock {
 
 /// Term: the kicks and the drift of a step.
 #[derive(Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct KickAndDrift;
 
 impl<const D: usize> Term<D> for KickAndDrift {

@@ -34,6 +34,7 @@ impl Default for Limits {
 
 /// Mean number of neighbours per particle below which the smoothing length is too short: most
 /// particles feel no pressure.
+#[doc(hidden)]
 pub const LONELY: f64 = 1.0;
 
 /// Smoothing lengths of the shipped scenes, in particle spacings, in two and in three dimensions.
@@ -65,6 +66,7 @@ pub struct Failure(pub Option<Error>);
 
 /// Term: the limits of a flow.
 #[derive(Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct Watch;
 
 impl<const D: usize> Term<D> for Watch {

@@ -29,7 +29,7 @@ macro_rules! commands {
         /// What `whirls` is asked to do.
         #[derive(Subcommand)]
         enum Work {
-            $(#[command(name = $name)] $variant($module::Arguments),)*
+            $(#[command(name = $name)] $variant(Box<$module::Arguments>),)*
             /// Prints the completions of all commands for a shell: `whirls completions bash > …/bash-completion/completions/whirls`.
             Completions {
                 /// The shell.

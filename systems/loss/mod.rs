@@ -132,10 +132,12 @@ pub fn losses<const D: usize>(observations: &Observations<D>) -> Vec<Box<dyn Fra
 
 /// The losses of a World.
 #[derive(Resource, Debug)]
+#[doc(hidden)]
 pub struct Losses<const D: usize>(pub Vec<Box<dyn FrameLoss<D>>>);
 
 /// The sum of one loss.
 #[derive(Clone, Debug, PartialEq)]
+#[doc(hidden)]
 pub enum LossPart {
     /// Sums of squares by measured quantity, with their Gauss–Newton matrices.
     Squares(Vec<(&'static str, SquareSum)>),
@@ -247,6 +249,7 @@ fn sum(count: usize, parts: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
 
 /// Term: one of the losses of a World. The term of the first loss runs the systems of all losses.
 #[derive(Clone, Debug)]
+#[doc(hidden)]
 pub struct LossTerm {
     /// Its number in [`Losses`].
     pub number: usize,
@@ -283,6 +286,7 @@ pub fn is_observed<const D: usize>(
 
 /// The data that losses read.
 #[derive(bevy_ecs::system::SystemParam)]
+#[doc(hidden)]
 pub struct Comparison<'w, const D: usize> {
     clock: Res<'w, Clock>,
     observations: Res<'w, Observations<D>>,
