@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     #[arg(long, required_unless_present = "mcap", allow_negative_numbers = true)]
     dt: Option<f64>,
     /// Side of the periodic box [default: 2π].
-    #[arg(long = "box", default_value_t = std::f64::consts::TAU, allow_negative_numbers = true)]
+    #[arg(long = "box", hide_default_value = true, default_value_t = std::f64::consts::TAU, allow_negative_numbers = true)]
     box_length: f64,
     /// Smoothing length of the flow, kept with the recording and held against the scene's.
     #[arg(long, allow_negative_numbers = true)]
