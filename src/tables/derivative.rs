@@ -4,7 +4,9 @@
 //! minimises `Σ (x_k − g(t_k))² + λ ∫ g″²`. One `λ` holds for all tracks and axes: the one with the
 //! least `Σ (x − g)² + 2 σ² tr S` (Craven and Wahba 1979, eq. 1.8), where `g = S x` and `σ` is the
 //! noise. Its velocities have the noise `σ² tr(D Dᵀ)/n`, where `v = D x`, and a bias, which is
-//! estimated by applying `D` to `g`.
+//! estimated by applying `D` to `g`. A natural spline is straight at its ends. Where the same
+//! criterion says so, it is the spline of `x − p` instead, where `p` is the cubic whose second
+//! derivatives at the ends are those of a cubic fitted to the nearest `m` positions.
 //!
 //! *Central differences*: `(x_{k+1} − x_{k−1})/2dt`, at the ends `(−3 x_0 + 4 x_1 − x_2)/2dt`. Noise
 //! `σ/(√2 dt)` inside and `√6.5 σ/dt` at the ends, bias `dt² x‴/6`.
@@ -23,6 +25,9 @@ const COLUMNS: usize = 400;
 
 /// Tracks, maximum, from which `λ` is chosen.
 const SAMPLE: usize = 500;
+
+/// Numbers of positions near an end to which a cubic is fitted; none for a natural end.
+const NEAR: [usize; 6] = [0, 4, 6, 9, 14, 21];
 
 /// A series of values at equal intervals.
 type Series = Vec<f64>;
@@ -107,13 +112,19 @@ fn spline(positions: &[Series], (dt, sigma): (f64, f64)) -> Derivative {
         residual + 2.0 * sigma * sigma * smoother.traces().0
     };
     // λ in units of dt³: from none to the straight line.
-    let candidates = (-12..=32).map(|k| Smoother::new(frames, 10_f64.powf(0.25 * f64::from(k))));
-    let interpolating = Smoother::new(frames, 0.0);
-    let least = candidates.fold((risk(&interpolating), interpolating), |best, smoother| {
-        let risk = risk(&smoother);
-        if risk < best.0 { (risk, smoother) } else { best }
-    });
-    let smoother = least.1;
+    let lambdas = (-12..=32).map(|k| 10_f64.powf(0.25 * f64::from(k))).chain([0.0]);
+    let mut smoother = Smoother::new(frames, 0.0);
+    let mut least = risk(&smoother);
+    for lambda in lambdas {
+        let natural = Smoother::new(frames, lambda);
+        for near in NEAR.into_iter().filter(|near| *near <= frames) {
+            let candidate = natural.clone().bent_at_ends(near);
+            let risk = risk(&candidate);
+            if risk < least {
+                (least, smoother) = (risk, candidate);
+            }
+        }
+    }
     let (_, gain) = smoother.traces();
     let (mut square, mut count, mut velocities) = (0.0, 0_usize, Vec::new());
     for x in positions {
@@ -153,13 +164,16 @@ fn coarse_bias(sample: &[&Series], velocities: &[Series], (dt, every): (f64, usi
     (square / count.max(1) as f64).sqrt() / 15.0
 }
 
-/// The natural cubic smoothing spline through `n ≥ 3` values at unit intervals.
+/// The cubic smoothing spline through `n ≥ 3` values at unit intervals.
+#[derive(Clone)]
 struct Smoother {
     frames: usize,
     lambda: f64,
     /// Factors `L D Lᵀ` of the matrix `R + λ QᵀQ`, which has five diagonals: `D`, and the two
     /// diagonals of `L` below the main one.
     factors: Vec<[f64; 3]>,
+    /// Weights of the values from either end that give the second derivative there; none for zero.
+    ends: Vec<f64>,
 }
 
 impl Smoother {
@@ -177,11 +191,35 @@ impl Smoother {
             let m = if k + 2 < inner { far / d } else { 0.0 };
             factors.push([d, l, m]);
         }
-        Self { frames, lambda, factors }
+        Self { frames, lambda, factors, ends: Vec::new() }
+    }
+
+    /// The same with second derivatives at the ends from the `near` values there, if there are any.
+    fn bent_at_ends(mut self, near: usize) -> Self {
+        self.ends = if near == 0 { Vec::new() } else { second_derivative(near) };
+        self
     }
 
     /// Values of the spline, and its derivatives.
     fn apply(&self, x: &[f64]) -> (Series, Series) {
+        if self.ends.is_empty() {
+            return self.natural(x);
+        }
+        let last = (self.frames - 1) as f64;
+        let first = self.ends.iter().zip(x).map(|(w, x)| w * x).sum::<f64>();
+        let slope = self.ends.iter().zip(x.iter().rev()).map(|(w, x)| w * x).sum::<f64>() - first;
+        let slope = slope / last;
+        let p = |k: usize| (0.5 * first + slope * k as f64 / 6.0) * (k * k) as f64;
+        let dp = |k: usize| (first + 0.5 * slope * k as f64) * k as f64;
+        let rest: Series = x.iter().enumerate().map(|(k, x)| x - p(k)).collect();
+        let (mut g, mut v) = self.natural(&rest);
+        g.iter_mut().enumerate().for_each(|(k, g)| *g += p(k));
+        v.iter_mut().enumerate().for_each(|(k, v)| *v += dp(k));
+        (g, v)
+    }
+
+    /// The same of a natural spline, whose second derivatives at the ends are zero.
+    fn natural(&self, x: &[f64]) -> (Series, Series) {
         let inner = self.frames - 2;
         let mut gamma: Series = x.windows(3).map(|x| x[0] - 2.0 * x[1] + x[2]).collect();
         for k in 0..inner {
@@ -236,6 +274,33 @@ impl Smoother {
         }
         (trace / count * self.frames as f64, square / count)
     }
+}
+
+/// The weights of `count ≥ 4` values at unit intervals that give the second derivative at the first
+/// of them, by a cubic fitted with least squares.
+fn second_derivative(count: usize) -> Vec<f64> {
+    // Columns of powers up to the third, made orthonormal (Gram and Schmidt), in units of the length
+    // of the interval.
+    let length = (count - 1) as f64;
+    let power = |degree: i32| (0..count).map(move |k| (k as f64 / length).powi(degree));
+    let mut basis: Vec<(Series, [f64; 4])> = Vec::new();
+    for degree in 0..4 {
+        let (mut values, mut terms): (Series, _) = (power(degree).collect(), [0.0; 4]);
+        terms[degree as usize] = 1.0;
+        for (other, of) in &basis {
+            let along: f64 = values.iter().zip(other).map(|(a, b)| a * b).sum();
+            values.iter_mut().zip(other).for_each(|(a, b)| *a -= along * b);
+            terms.iter_mut().zip(of).for_each(|(a, b)| *a -= along * b);
+        }
+        let norm = values.iter().map(|x| x * x).sum::<f64>().sqrt();
+        values.iter_mut().for_each(|x| *x /= norm);
+        terms.iter_mut().for_each(|x| *x /= norm);
+        basis.push((values, terms));
+    }
+    // The second derivative at zero is twice the coefficient of the second power.
+    let weight =
+        |k: usize| basis.iter().map(|(values, terms)| 2.0 * terms[2] * values[k]).sum::<f64>();
+    (0..count).map(|k| weight(k) / (length * length)).collect()
 }
 
 #[cfg(test)]
@@ -300,6 +365,17 @@ mod tests {
         let (positions, velocities) = waves(1e-2);
         let of = |way| error(&derive(&positions, (DT, 1e-2), way).velocities, &velocities);
         assert!(of(Derive::Spline) < 0.5 * of(Derive::Central));
+    }
+
+    #[test]
+    fn weights_at_an_end_are_exact_for_a_cubic() {
+        for count in [4, 9, 21] {
+            let cubic =
+                |k: usize| 2.0 - 0.3 * k as f64 + 0.7 * (k * k) as f64 - 0.01 * (k * k * k) as f64;
+            let weights = second_derivative(count);
+            let found: f64 = weights.iter().enumerate().map(|(k, w)| w * cubic(k)).sum();
+            assert!((found - 1.4).abs() < 1e-9, "{count}: {found}");
+        }
     }
 
     #[test]

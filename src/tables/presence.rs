@@ -384,7 +384,8 @@ mod tests {
             seen.row(0, key((f64::from(k) / 30.0 * 1e4).round() / 1e4 - 5.0));
         }
         let clock = Clock::of_times(&seen, "table").unwrap();
-        assert_eq!(clock.count, 3000);
+        // The last of them is one of those left out.
+        assert_eq!(clock.count, 2999);
         assert!((clock.interval.unwrap() - 1.0 / 30.0).abs() < 1e-7);
         seen.row(0, key(50.02));
         assert!(Clock::of_times(&seen, "table").is_err());
