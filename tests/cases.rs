@@ -6,8 +6,7 @@
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/place.rs"]
-mod place;
+use crate::place;
 
 use place::{Done, Place};
 use std::path::PathBuf;

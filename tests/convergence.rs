@@ -8,7 +8,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-mod common;
+use crate::common;
 
 use common::{after, farthest, farthest_image, in_2d_and_3d, slope, space, taylor_green};
 use whirls::flow::State;

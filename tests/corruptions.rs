@@ -4,8 +4,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/small.rs"]
-mod small;
+use crate::small;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

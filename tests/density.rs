@@ -5,7 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use common::{lattice, spacing, started};
 use whirls::Scene;

@@ -4,8 +4,7 @@
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/small.rs"]
-mod small;
+use crate::small;
 
 use small::{arrays, import, npy, record, scene, truth, write_arrays};
 use std::path::Path;

@@ -4,10 +4,8 @@
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/place.rs"]
-mod place;
-#[path = "common/small.rs"]
-mod small;
+use crate::place;
+use crate::small;
 
 use mcap::records::MessageHeader;
 use place::Place;

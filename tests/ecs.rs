@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use bevy_ecs::prelude::*;
 use common::{in_2d_and_3d, shaken};

@@ -3,8 +3,7 @@
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/place.rs"]
-mod place;
+use crate::place;
 
 use place::Place;
 use serde_json::Value;

@@ -3,8 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-#[path = "common/place.rs"]
-mod place;
+use crate::place;
 
 use place::Place;
 use serde_json::Value;

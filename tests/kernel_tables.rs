@@ -1,7 +1,7 @@
 //! Kernels with a learnable shape: normalisation, table against formula, derivatives by the
 //! parameters, and their notation in scenes.
 
-mod common;
+use crate::common;
 
 use common::in_2d_and_3d;
 use whirls::kernel::{

@@ -1,6 +1,6 @@
 //! Every kernel in both dimensions: normalisation, moments, derivatives, support.
 
-mod common;
+use crate::common;
 
 use common::in_2d_and_3d;
 use whirls::kernel::{

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use common::{
     FORCINGS, cloud, farthest, in_2d_and_3d, largest, shaken, space, started, two_particles,

@@ -6,7 +6,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-mod common;
+use crate::common;
 
 use common::{densities, true_value};
 use rand::{RngExt, SeedableRng};

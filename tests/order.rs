@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use bevy_ecs::prelude::*;
 use common::{FORCINGS, shaken};

@@ -2,8 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-#[path = "common/place.rs"]
-mod place;
+use crate::place;
 
 use place::{Done, Place};
 use std::process::{Child, Stdio};

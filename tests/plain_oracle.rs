@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use common::{FORCINGS, KERNELS, cloud, in_2d_and_3d, shaken, started};
 use std::f64::consts::PI;

@@ -9,7 +9,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-mod common;
+use crate::common;
 
 use common::{farthest, farthest_image, largest, space, started};
 use std::path::PathBuf;

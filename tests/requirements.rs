@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 #![allow(clippy::print_stdout, reason = "a test shows what it measured")]
 
-mod common;
+use crate::common;
 
 use common::{in_2d_and_3d, shaken};
 use std::f64::consts::PI;

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use whirls::forcing::Power;
 use whirls::parameters::Parameter;

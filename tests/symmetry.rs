@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop here")]
 
-mod common;
+use crate::common;
 
 use common::{after, farthest, farthest_image, in_2d_and_3d, shaken, space, started};
 use rand::{SeedableRng, seq::SliceRandom};
