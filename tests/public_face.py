@@ -2,7 +2,7 @@
 
     cargo doc --release --no-deps --lib && python3 tests/public_face.py [--write]
 
-A change of the face is a change of that file, so that nobody makes one unawares.
+A change of the face is a change of that file, so that none is made unawares.
 """
 
 import pathlib

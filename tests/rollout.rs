@@ -9,10 +9,11 @@ use common::in_2d_and_3d;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use whirls::Flow;
 use whirls::flow::{Direction, State};
-use whirls::learn::Learner;
+use whirls::learn::{Learner, columns};
 use whirls::parameters::Parameter;
-use whirls::scene::{Forcing, Optimiser, Scene, Weights};
+use whirls::scene::{Forcing, Law, Optimiser, Scene, Weights};
 use whirls::sensitivity::{
     Frame, Gradient, RecordedRollout, RolloutGradient, RolloutPlan, Storage,
 };
@@ -278,6 +279,7 @@ fn every_storage_gives_the_same_bits_within_its_memory<const D: usize>() {
 }
 
 in_2d_and_3d!(
+    a_rollout_of_a_scene_with_a_learned_law_follows_that_law,
     derivatives_by_parameters_and_initial_state_equal_central_differences,
     forwards_and_backwards_are_transposed_to_round_off,
     a_trajectory_loss_of_the_caller_has_the_bits_of_the_learners_adjoint,
@@ -344,4 +346,22 @@ fn a_derivative_that_overflows_is_an_error_with_the_step_where_that_began() {
     // The rollout is whole after that.
     let given = cotangents(&rollout, 3);
     assert!(rollout.vjp(&given).is_ok());
+}
+
+/// A scene that learns nothing, and names a learned law.
+fn a_rollout_of_a_scene_with_a_learned_law_follows_that_law<const D: usize>() {
+    let trained = network(if D == 2 { "eos-nn-2d" } else { "eos-nn-3d" });
+    let names = columns::<D>(&trained, trained.learning().unwrap()).unwrap();
+    let values: Vec<f64> = (0..names.len()).map(|k| 0.3 * (1.3 * k as f64).sin()).collect();
+    let plain = scene::<D>(Step::KickDriftKick);
+    let lawful = plain.clone().with_law(Law::learned_in(&trained, &names, &values)).unwrap();
+    let mut flow = Flow::<D>::new(&lawful).unwrap();
+    let start = flow.state();
+    let last = |scene: &Scene| {
+        let rollout = RecordedRollout::run(scene, (&start, &[]), PLAN).unwrap();
+        rollout.frames().last().unwrap().state.clone()
+    };
+    (0..PLAN.steps).for_each(|_| flow.step().unwrap());
+    assert_eq!(last(&lawful), flow.state());
+    assert_ne!(last(&plain), flow.state());
 }

@@ -1,6 +1,6 @@
 //! Backward runs of a flow: snapshots forwards, pullbacks backwards.
 
-use super::{Flow, Request, State, in_pool};
+use super::{Flow, State, in_pool};
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::systems::columns::{Column, KeptColumn};
@@ -36,11 +36,10 @@ impl<const D: usize> Snapshot<D> {
 }
 
 impl<const D: usize> Flow<D> {
-    /// The flow of the model that a scene learns, with an adjoint of a loss that is known only by its cotangents,
+    /// The flow of a rollout, with an adjoint of a loss that is known only by its cotangents,
     /// [`Self::give_cotangent`].
     pub(crate) fn with_cotangents(scene: &Scene, state: &State<D>) -> Result<Self> {
-        Self::must_fit(scene)?;
-        Self::assemble(Request { adjoint: true, ..Request::of_model(scene, state) })
+        Self::of_rollout(scene, state, (true, 0))
     }
 
     /// Gives the derivatives of a loss of the frame at the current step of the backward sweep, before its adjoint runs.

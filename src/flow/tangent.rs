@@ -1,6 +1,6 @@
 //! Derivatives of a flow along directions of its parameters and of its initial state.
 
-use super::{Flow, Request, State};
+use super::{Flow, Request, Source, State};
 use crate::error::{Error, Result};
 use crate::parameters::Parameter;
 use crate::scalar::WIDTH;
@@ -46,10 +46,25 @@ impl<const D: usize> FrameTangent<D> {
 }
 
 impl<const D: usize> Flow<D> {
-    /// The flow of the model that a scene learns, with room for sensitivities along `count` directions.
-    pub(crate) fn with_directions(scene: &Scene, state: &State<D>, count: usize) -> Result<Self> {
+    /// The flow of the model that a scene learns or, where it learns none, of its own law; with an adjoint of cotangents,
+    /// or with room for sensitivities along directions.
+    pub(super) fn of_rollout(
+        scene: &Scene,
+        state: &State<D>,
+        (adjoint, directions): (bool, usize),
+    ) -> Result<Self> {
         Self::must_fit(scene)?;
-        Self::assemble(Request { directions: count, ..Request::of_model(scene, state) })
+        let own = scene.law.as_ref().filter(|_| scene.learn.is_none());
+        let choice = own.map_or_else(|| scene.model(), |law| law.model.clone());
+        let request = Request::new(scene, state, Source::Scene(choice));
+        let mut flow = Self::assemble(Request { adjoint, directions, ..request })?;
+        own.iter().try_for_each(|law| law.set(&mut flow))?;
+        Ok(flow)
+    }
+
+    /// The flow of a rollout, with room for sensitivities along `count` directions.
+    pub(crate) fn with_directions(scene: &Scene, state: &State<D>, count: usize) -> Result<Self> {
+        Self::of_rollout(scene, state, (false, count))
     }
 
     /// Sets the directions of the sensitivities of a flow that has not started, one lane each.
