@@ -248,7 +248,7 @@ fn wrong_input_is_refused_with_what_to_do() {
         place.refuses(command, &["dns-3d"], &["simulation", "--truth"]);
         place.refuses(command, &["dns.toml"], &["simulation", "--truth"]);
     }
-    place.refuses("simulate", &["dns-4d"], &["dns-2d, dns-3d", "check the spelling"]);
+    place.refuses("simulate", &["dns-4d"], &["dns-2d, dns-3d", "did you mean dns-"]);
 }
 
 #[test]

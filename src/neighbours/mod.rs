@@ -160,10 +160,13 @@ impl<const D: usize> Neighbours<D> {
     pub fn pairs(&self, particles: &[Packed]) -> u64 {
         let within = |chunk: &Chunk, k: usize| {
             let here = Vector::<f64, D>::from_3d(particles[chunk.first + k].position);
+            // The sentinel is no particle.
             let near = |&j: &usize| {
-                let there = Vector::from_3d(particles[j].position);
-                let apart = self.space.minimum_image(here - there);
-                apart.norm_squared() < self.support * self.support
+                particles.get(j).is_some_and(|there| {
+                    let there = Vector::from_3d(there.position);
+                    let apart = self.space.minimum_image(here - there);
+                    apart.norm_squared() < self.support * self.support
+                })
             };
             chunk.slots_of(k).filter(near).count() as u64
         };

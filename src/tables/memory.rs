@@ -106,6 +106,14 @@ impl Stacked {
         if let Some(velocities) = &velocities {
             velocities.must_have(&shape, place)?;
         }
+        // A damaged file may hold fewer numbers than it says.
+        for array in [Some(&positions), velocities.as_ref()].into_iter().flatten() {
+            let (wanted, held) = (array.shape.iter().product::<usize>(), array.values.len());
+            if wanted != held {
+                let expected = format!("{wanted} numbers, as of shape {:?}", array.shape);
+                return Err(Error::input(place, expected, held, "write the file again"));
+            }
+        }
         let types = match types {
             // A type for each frame and particle: those of the first frame hold.
             Some(types) if types.shape == shape[..2] => {
