@@ -111,6 +111,7 @@ impl AnyScene {
     /// # Errors
     /// As [`Scene::open`].
     pub fn open(name_or_path: &str, overrides: &[String]) -> Result<Self> {
+        overrides.iter().try_for_each(|assignment| parts(assignment).map(drop))?;
         let shipped = SHIPPED_DNS.iter().find(|(name, _)| *name == name_or_path);
         if let Some((name, text)) = shipped {
             let origin = format!("shipped scene {name}");
