@@ -172,7 +172,7 @@ impl<const D: usize> Truth<D> {
 }
 
 /// The mesh of the field loss.
-fn field_mesh<const D: usize>(scene: &Scene, learn: &Learn) -> Mesh<D> {
+pub(crate) fn field_mesh<const D: usize>(scene: &Scene, learn: &Learn) -> Mesh<D> {
     match learn.mesh {
         Some(along_first) => Mesh::over(scene.space(), along_first),
         None => Mesh::of_particles(scene.space(), scene.particles()),

@@ -44,7 +44,7 @@ impl<'a, K: Kernel, const D: usize> Search<'a, K, D> {
     fn new(points: &'a Points<'a, K, D>) -> Self {
         let place = |slot: usize| Vector::from_3d(points.packed[slot].position);
         let mut columns = [(); D].map(|()| Vec::with_capacity(points.packed.len() + 2 * WIDTH));
-        for place in points.cells.places(place) {
+        for place in points.cells.places(&place) {
             columns.iter_mut().zip(place).for_each(|(column, x)| column.push(x));
         }
         columns.iter_mut().for_each(|column| column.extend([0; 2 * WIDTH]));

@@ -182,14 +182,13 @@ impl<const D: usize> Cells<D> {
     /// Fixed-point coordinates of the particles in cell order, whose positions are given by slot. Each
     /// is that of the image which is nearest to the cell: a particle may have crossed the boundary
     /// since it was sorted.
-    pub(crate) fn places(
-        &self,
-        position: impl Fn(usize) -> Vector<f64, D>,
-    ) -> impl Iterator<Item = [i32; D]> {
+    pub(crate) fn places<'a>(
+        &'a self,
+        position: &'a impl Fn(usize) -> Vector<f64, D>,
+    ) -> impl Iterator<Item = [i32; D]> + 'a {
         (0..self.count()).flat_map(move |cell| {
             let middle = self.middle(self.coordinates_of_index(cell));
-            let image = |slot: usize| self.fixed_point.image_near(position(slot), middle);
-            self.range(cell).map(image).collect::<Vec<_>>()
+            self.range(cell).map(move |slot| self.fixed_point.image_near(position(slot), middle))
         })
     }
 

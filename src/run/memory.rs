@@ -100,9 +100,9 @@ pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
     let worlds = if learn.warm_up.is_some() { 2.0 } else { 1.0 };
     let mut observed = particles * (2.0 * frames + 1.0) * vector;
     if learn.loss.field > 0.0 || worlds > 1.0 {
-        let per_axis = learn.mesh.unwrap_or(scene.fluid.particles_per_side) as f64;
         // The fields of the truth, and the predicted one.
-        observed += (frames + 1.0) * per_axis.powi(D as i32) * vector;
+        let nodes = crate::truth::field_mesh::<D>(scene, learn).len() as f64;
+        observed += (frames + 1.0) * nodes * vector;
     }
     bytes += worlds * observed;
     for found in twin.of_training::<D>().unwrap_or_default() {

@@ -102,7 +102,7 @@ pub(super) struct Run<'a, const D: usize> {
 }
 
 impl<'a, const D: usize> Run<'a, D> {
-    /// A sweep over a flow of so many particles, to which cotangents are given at frames.
+    /// A sweep over a flow of `particles` particles, to which cotangents are given at frames.
     pub(super) fn new(
         flow: &'a mut Flow<D>,
         particles: usize,

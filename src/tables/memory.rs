@@ -1,7 +1,7 @@
 //! Tables that are read as whole arrays: long columns, or all frames of one number of particles.
 
 use super::columns::{Columns, Role};
-use super::{Held, Lost, Row, Table};
+use super::{Each, Held, Lost, Progress, Row, Table};
 use crate::arrays::Array;
 use crate::error::{Error, Result};
 
@@ -51,11 +51,7 @@ impl Table for Long {
         &self.held
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         let plane = self.held.dimension == 2;
         for k in 0..self.count {
             let at = |role: Role| self.columns[role as usize].as_ref().map_or(f64::NAN, |c| c[k]);
@@ -140,11 +136,7 @@ impl Table for Stacked {
         &self.held
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         let [frames, particles, dimension] = [0, 1, 2].map(|axis| self.positions.shape[axis]);
         let vector = |array: &Array, k: usize, i: usize| -> [f64; 3] {
             std::array::from_fn(|axis| match axis < dimension {

@@ -121,15 +121,17 @@ pub(crate) struct Held {
 /// Called with what is being done, how much of it is done, and how much there is.
 pub type Watch<'a> = &'a mut dyn FnMut(&'static str, u64, u64);
 
+/// Called with every row of a table.
+pub(crate) type Each<'a> = &'a mut dyn FnMut(&Row) -> Result<()>;
+
+/// Called with bytes or rows done, and all of them.
+pub(crate) type Progress<'a> = &'a mut dyn FnMut(u64, u64);
+
 /// A table that can be read more than once.
 pub(crate) trait Table {
     /// What it holds.
     fn held(&self) -> &Held;
 
     /// Calls `each` with every row, and `watch` with bytes or rows done and all of them.
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()>;
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()>;
 }

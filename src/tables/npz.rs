@@ -3,7 +3,7 @@
 
 use super::columns::Columns;
 use super::memory::{Long, ROLES, Stacked};
-use super::{Held, Row, Table};
+use super::{Each, Held, Progress, Table};
 use crate::arrays::Array;
 use crate::error::{Error, Result};
 use std::fs::File;
@@ -32,11 +32,7 @@ impl Table for Npz {
         }
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         match self {
             Self::Long(table) => table.rows(each, watch),
             Self::Stacked(table) => table.rows(each, watch),

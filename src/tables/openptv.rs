@@ -5,7 +5,7 @@
 //! chain of these is a track.
 
 use super::open::{Files, frame_of_name};
-use super::{Held, Lost, Row, Table};
+use super::{Each, Held, Lost, Progress, Row, Table};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -47,11 +47,7 @@ impl Table for OpenPtv {
         &self.held
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         let mut chains = Chains::default();
         let mut done = 0;
         for (path, size) in self.files.paths.iter().zip(&self.files.sizes) {

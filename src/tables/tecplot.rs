@@ -4,7 +4,7 @@
 use super::columns::{Columns, Role};
 use super::open::{Files, frame_of_name};
 use super::text::{must_have_tracks, row_of};
-use super::{Held, Row, Table, Tracks};
+use super::{Each, Held, Progress, Row, Table, Tracks};
 use crate::error::{Error, Result};
 use csv::ByteRecord;
 use std::fs::File;
@@ -97,11 +97,7 @@ impl Table for Tecplot {
         &self.held
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         let (mut done, all) = (0, self.files.bytes);
         let mut zones = Zones::default();
         for (k, path) in self.files.paths.iter().enumerate() {

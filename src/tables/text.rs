@@ -2,7 +2,7 @@
 
 use super::columns::{Columns, Role};
 use super::open::{Files, frame_of_name};
-use super::{Held, Lost, Row, Table, Tracks};
+use super::{Each, Held, Lost, Progress, Row, Table, Tracks};
 use crate::error::{Error, Result};
 use csv::ByteRecord;
 use std::fs::File;
@@ -206,11 +206,7 @@ impl Table for Text {
         &self.held
     }
 
-    fn rows(
-        &self,
-        each: &mut dyn FnMut(&Row) -> Result<()>,
-        watch: &mut dyn FnMut(u64, u64),
-    ) -> Result<()> {
+    fn rows(&self, each: Each<'_>, watch: Progress<'_>) -> Result<()> {
         let (mut done, all) = (0, self.files.bytes);
         for (k, path) in self.files.paths.iter().enumerate() {
             self.file((k, path), each, &mut |bytes| watch(done + bytes, all))?;

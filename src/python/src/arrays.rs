@@ -95,7 +95,7 @@ impl Film {
         self.densities.extend_from_slice(densities);
     }
 
-    /// As arrays, for particles in so many dimensions.
+    /// As arrays, for `count` particles in `dimension` dimensions.
     pub(crate) fn into_arrays(
         self,
         py: Python<'_>,
