@@ -3,6 +3,9 @@
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
 mod dns;
+mod windows;
+
+pub use windows::Windows;
 
 use crate::error::{Error, Result};
 use crate::flow::{Flow, State};
@@ -39,16 +42,7 @@ impl<const D: usize> Truth<D> {
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
     pub fn generate(scene: &Scene, (after, frames): (u64, usize)) -> Result<Self> {
-        let mut flow = Flow::<D>::new(scene)?;
-        flow.start()?;
-        for _ in 0..after {
-            flow.step()?;
-        }
-        // The force that kick-drift-kick carries is not observed: the observed flow starts without
-        // it.
-        let from = flow.state();
-        flow.reset(&from);
-        Self::kept(flow, (frames, scene.observed_every()))
+        Windows::one(after, frames).only(|windows| Self::windows_of_law(scene, windows))
     }
 
     /// Runs the scene's own law from a state, and records `frames + 1` states.
@@ -56,16 +50,16 @@ impl<const D: usize> Truth<D> {
     /// # Errors
     /// [`crate::Error::Diverged`] from the flow.
     pub fn from_state(scene: &Scene, state: &State<D>, frames: usize) -> Result<Self> {
-        Self::kept(Flow::from_state(scene, state)?, (frames, scene.observed_every()))
+        Self::kept(&mut Flow::from_state(scene, state)?, (frames, scene.observed_every()))
     }
 
-    fn kept(mut flow: Flow<D>, (frames, every): (usize, u64)) -> Result<Self> {
+    fn kept(flow: &mut Flow<D>, (frames, every): (usize, u64)) -> Result<Self> {
         flow.start()?;
         let mut truth = Self::default();
-        truth.keep(&mut flow);
+        truth.keep(flow);
         for _ in 0..frames {
             (0..every).try_for_each(|_| flow.step())?;
-            truth.keep(&mut flow);
+            truth.keep(flow);
         }
         Ok(truth)
     }

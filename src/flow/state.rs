@@ -56,6 +56,8 @@ pub enum Stream {
     Field = 3,
     /// Amplitudes of the Ornstein–Uhlenbeck forcing.
     Forcing = 4,
+    /// Batches of lessons.
+    Lessons = 5,
 }
 
 /// A portable random generator: the same numbers on every machine.

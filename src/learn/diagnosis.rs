@@ -20,7 +20,7 @@ impl<const D: usize> Learner<D> {
     /// the remedy, because the time between frames is given.
     pub(super) fn explain(&self, error: Error, learned: &[f64]) -> Error {
         let Error::Diverged { step, time, quantity, found, remedy } = error else { return error };
-        let lonely = self.flow.loneliness().is_some();
+        let lonely = self.flow().loneliness().is_some();
         let found = format!("{found}, at {}", self.in_words(learned));
         let remedy = match (lonely, self.is_recorded) {
             (true, _) => remedy,
@@ -44,10 +44,10 @@ impl<const D: usize> Learner<D> {
     /// or rows.
     pub(super) fn doubt_of_data(&self) -> Option<String> {
         let (space, interval) = self.units;
-        let next = self.flow.world().get_resource::<Observations<D>>()?.frames.first()?.clone();
-        let moves = next.positions.iter().zip(&self.from.positions);
+        let next = self.flow().world().get_resource::<Observations<D>>()?.frames.first()?.clone();
+        let moves = next.positions.iter().zip(&self.lessons[0].from.positions);
         let moved: f64 = moves.map(|(&a, &b)| space.minimum_image(a - b).norm()).sum();
-        let speeds: f64 = self.from.velocities.iter().map(|v| v.norm()).sum();
+        let speeds: f64 = self.lessons[0].from.velocities.iter().map(|v| v.norm()).sum();
         let ratio = moved / (speeds * interval);
         (self.is_recorded && speeds > 0.0 && !(1.0 / APART..=APART).contains(&ratio)).then(|| {
             format!(

@@ -27,13 +27,17 @@ impl<const D: usize> Learner<D> {
         let share = self.share();
         let last = window == self.frames;
         let coordinates = self.coordinates();
+        let mut is_whole = true;
         for iteration in 0..=share {
-            if last {
+            // Losses of batches do not compare.
+            if last && is_whole {
                 search.meet(&here);
             }
-            if iteration == share || here.loss <= self.learn.target {
+            if iteration == share || (is_whole && here.loss <= self.learn.target) {
                 break;
             }
+            let at_end = iteration + 1 == share || (iteration + 1) % share.div_ceil(10) == 0;
+            let of_all = self.choose(iteration, at_end);
             let rate = optimiser.rate();
             optimiser.descend(&mut search.at, &here.gradient);
             search.at = coordinates.into_domain(&here.parameters, &search.at);
@@ -42,7 +46,7 @@ impl<const D: usize> Learner<D> {
             }
             let mut note = None;
             match self.evaluate(&search.at, window) {
-                Ok(found) => here = found,
+                Ok(found) => (here, is_whole) = (found, of_all),
                 Err(error) => {
                     // Return to the last parameters that could be evaluated, with half the rate.
                     search.at.copy_from_slice(&here.parameters);
@@ -54,6 +58,7 @@ impl<const D: usize> Learner<D> {
             let index = search.index;
             watch(&Iteration { index, window, evaluation: &here, rate, note })?;
         }
+        self.choose(0, true);
         Ok(here)
     }
 

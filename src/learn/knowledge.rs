@@ -271,7 +271,7 @@ impl<const D: usize> Learner<D> {
         knowledge: &Knowledge,
     ) -> Option<String> {
         let value = found.parameters[k];
-        let domain = self.flow.parameters().specs()[self.places[k]].domain;
+        let domain = self.flow().parameters().specs()[self.places[k]].domain;
         let at_home = matches!(knowledge.stopped_by, Stop::RoundOff | Stop::Target);
         let matrix = knowledge.no_standard_error.is_none();
         if !domain.contains(value) {

@@ -6,6 +6,8 @@ mod diagnosis;
 mod first_order;
 mod knowledge;
 mod least_squares;
+mod lessons;
+mod prediction;
 mod search;
 mod start;
 mod words;
@@ -13,16 +15,17 @@ mod words;
 pub use knowledge::{Knowledge, Stop};
 
 use crate::error::{Error, Result};
-use crate::flow::{Differentiation, Flow, State, Stream, stream};
-use crate::losses::SquareSum;
+use crate::flow::{Flow, State, Stream, stream};
 use crate::models::Medium;
 use crate::optimisers::Coordinates;
 use crate::parameters::{Domain, Parameter, ParameterSpec};
 use crate::scene::{Learn, Optimiser, Scene};
-use crate::sensitivity::{Coupling, Gradient, SHORTEN, adjoint_gradient};
+use crate::sensitivity::{Coupling, Gradient};
 use crate::space::Space;
-use crate::systems::loss::{LossSum, Observations};
+use crate::systems::loss::Observations;
 use crate::truth::Truth;
+use lessons::{Batches, evaluate_all};
+use prediction::{Prediction, Setting};
 use rand::RngExt;
 
 /// The result of one evaluation of the loss.
@@ -105,19 +108,21 @@ pub fn columns<const D: usize>(scene: &Scene, learn: &Learn) -> Result<Vec<Param
     Ok(learn.parameters.iter().cloned().chain(weights).collect())
 }
 
-/// A prediction that learns: a flow with derivatives, restarted from the same state for every
+/// A prediction that learns: for each lesson a flow with derivatives, restarted from the same state for every
 /// evaluation.
 pub struct Learner<const D: usize> {
-    flow: Flow<D>,
-    from: State<D>,
+    /// At least one.
+    lessons: Vec<Prediction<D>>,
+    /// Batches of lessons, if the scene asks for them.
+    batches: Option<Batches>,
+    /// The lessons of the next evaluation; empty for all.
+    chosen: Vec<usize>,
     learn: Learn,
     columns: Vec<Parameter>,
     /// Their places in the flat vector of the flow.
     places: Vec<usize>,
     frames: usize,
     gradient: Gradient,
-    /// Largest memory of the last adjoint, in bytes.
-    held: usize,
     /// The learner that searches before this one.
     warm_up: Option<Box<Self>>,
     /// Side of the box, and the time between frames.
@@ -129,31 +134,36 @@ pub struct Learner<const D: usize> {
 impl<const D: usize> Learner<D> {
     /// A learner for a scene, from the first true state and the observations after it.
     pub fn new(scene: &Scene, from: State<D>, observations: Observations<D>) -> Result<Self> {
+        Self::over(scene, vec![(from, observations)])
+    }
+
+    /// A learner for a scene from its lessons, at least one.
+    fn over(scene: &Scene, lessons: Vec<(State<D>, Observations<D>)>) -> Result<Self> {
         let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
         let columns = columns::<D>(scene, &learn)?;
         let gradient = learn.gradient.choose(residuals || learn.coupling == Coupling::Local);
-        let frames = observations.frames.len();
-        let flow = match gradient {
-            Gradient::Adjoint => Flow::with_adjoint(scene, &from, observations)?,
-            Gradient::Auto | Gradient::Forward => {
-                let (parameters, coupling) = (columns.clone(), learn.coupling);
-                let by = Differentiation { parameters, coupling };
-                Flow::build(scene, &from, Some(&by), Some(observations))?
-            }
+        let frames = lessons.first().map_or(0, |(_, observations)| observations.frames.len());
+        let one = |lesson| Prediction::new(scene, lesson, (gradient, &columns));
+        let lessons = lessons.into_iter().map(one).collect::<Result<Vec<_>>>()?;
+        let Some(first) = lessons.first() else {
+            return Err(Error::input("lessons", "at least one", "none", "give a window"));
         };
-        let places = flow.places(&columns)?;
+        let places = first.flow.places(&columns)?;
         let units = (scene.space(), scene.observed_interval());
-        let (held, warm_up, is_recorded) = (0, None, false);
+        let size = learn.lessons.as_ref().and_then(|all| all.batch);
+        let size = size.filter(|size| *size < lessons.len());
+        let batches = size.map(|size| Batches::new(scene.seed, (lessons.len(), size)));
+        let (chosen, warm_up, is_recorded) = (Vec::new(), None, false);
         Ok(Self {
-            flow,
-            from,
+            lessons,
+            batches,
+            chosen,
             learn,
             columns,
             places,
             frames,
             gradient,
-            held,
             warm_up,
             units,
             is_recorded,
@@ -165,11 +175,24 @@ impl<const D: usize> Learner<D> {
     /// # Errors
     /// As [`Learner::new`] and [`Truth::observations`].
     pub fn of_truth(scene: &Scene, truth: &Truth<D>) -> Result<Self> {
-        let observations = truth.observations(scene, scene.learning()?)?;
-        let mut learner = Self::new(scene, truth.states[0].clone(), observations)?;
-        learner.is_recorded = truth.is_recorded;
+        Self::of_truths(scene, &[truth])
+    }
+
+    /// A learner for a scene from the truths of several lessons, with the scene's warm-up. Its loss is the mean over
+    /// them.
+    ///
+    /// # Errors
+    /// As [`Learner::of_truth`]; [`Error::Input`] where there is none.
+    pub fn of_truths(scene: &Scene, truths: &[&Truth<D>]) -> Result<Self> {
+        let lesson = |truth: &&Truth<D>| {
+            let observations = truth.observations(scene, scene.learning()?)?;
+            Ok((truth.states[0].clone(), observations))
+        };
+        let lessons = truths.iter().map(lesson).collect::<Result<Vec<_>>>()?;
+        let mut learner = Self::over(scene, lessons)?;
+        learner.is_recorded = truths.iter().any(|truth| truth.is_recorded);
         if let Some(before) = scene.warm_up() {
-            learner.warm_up = Some(Box::new(Self::of_truth(&before, truth)?));
+            learner.warm_up = Some(Box::new(Self::of_truths(&before, truths)?));
         }
         Ok(learner)
     }
@@ -190,9 +213,18 @@ impl<const D: usize> Learner<D> {
         }
     }
 
-    /// The flow that predicts.
+    /// The flow that predicts; of several lessons, that of the first.
     pub fn flow_mut(&mut self) -> &mut Flow<D> {
-        &mut self.flow
+        &mut self.lessons[0].flow
+    }
+
+    fn flow(&self) -> &Flow<D> {
+        &self.lessons[0].flow
+    }
+
+    /// Number of lessons.
+    pub fn lessons(&self) -> usize {
+        self.lessons.len()
     }
 
     /// The learned parameters: the physical ones in the scene's order, then the network's weights.
@@ -212,12 +244,12 @@ impl<const D: usize> Learner<D> {
         let mut generator = stream(seed, Stream::Guess);
         let draw = |p: &Parameter| {
             let drawn = generator.random::<f64>();
-            let own = self.flow.parameters().get(p).filter(|_| !Parameter::PHYSICAL.contains(p));
+            let own = self.flow().parameters().get(p).filter(|_| !Parameter::PHYSICAL.contains(p));
             let given = self.learn.guess.get(p.name()).copied().filter(|_| with_own);
             given.or(own).unwrap_or(drawn)
         };
         let mut guess: Vec<f64> = self.learn.parameters.iter().map(draw).collect();
-        guess.extend(self.flow.draw_weights(seed));
+        guess.extend(self.flow().draw_weights(seed));
         guess
     }
 
@@ -225,7 +257,7 @@ impl<const D: usize> Learner<D> {
     /// that the scene leaves unbounded.
     fn coordinates(&self) -> Coordinates {
         let specs = self.places.iter().map(|&place| {
-            let spec = self.flow.parameters().specs()[place].clone();
+            let spec = self.flow().parameters().specs()[place].clone();
             let free = self.learn.unbounded.contains(&spec.name);
             ParameterSpec { domain: if free { Domain::Real } else { spec.domain }, ..spec }
         });
@@ -242,103 +274,25 @@ impl<const D: usize> Learner<D> {
     }
 
     fn evaluate_as_it_is(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
-        self.start_over(learned, window);
-        // A kernel that must stay positive rejects parameters with a negative lobe.
-        self.flow.model().medium().kernel.check("the kernel of this trial", D)?;
-        if self.gradient == Gradient::Adjoint {
-            return self.evaluate_backwards(learned, window);
-        }
-        (0..self.steps(window)).try_for_each(|_| self.flow.step())?;
-        let loss = self.flow.loss();
-        let count = learned.len();
-        let found = self.evaluation(learned, &loss, (loss.gradient(count), loss.normal(count)))?;
-        Ok(Evaluation { squares: squares(&loss, count), ..found })
+        let Self { lessons, chosen, learn, gradient, places, .. } = self;
+        let setting = Setting { learn, gradient: *gradient, places };
+        evaluate_all(lessons, chosen, &setting, (learned, window))
     }
 
-    /// Number of steps to the last of `window` frames.
-    fn steps(&self, window: usize) -> u64 {
-        window as u64 * self.learn.every
-    }
-
-    /// Resets the prediction to its start, with other parameters, for a comparison over `window`
+    /// Resets the prediction of the first lesson to its start, with other parameters, for a comparison over `window`
     /// frames.
     pub fn start_over(&mut self, learned: &[f64], window: usize) {
-        self.flow.set_at(&self.places, learned);
-        self.flow.set_window(window);
-        self.flow.reset(&self.from);
+        self.lessons[0].start_over(&self.places, (learned, window));
     }
 
-    fn evaluate_backwards(&mut self, learned: &[f64], window: usize) -> Result<Evaluation> {
-        let storage = self.learn.storage;
-        let steps = self.steps(window);
-        let found = adjoint_gradient(&mut self.flow, &self.from, steps, storage)?;
-        self.held = found.bytes;
-        let gradient = self.places.iter().map(|&place| found.gradient[place]).collect();
-        self.evaluation(learned, &found.loss, (gradient, Vec::new()))
-    }
-
-    fn evaluation(
-        &self,
-        learned: &[f64],
-        loss: &LossSum,
-        (gradient, normal): (Vec<f64>, Vec<f64>),
-    ) -> Result<Evaluation> {
-        let value = loss.value();
-        let lost = |quantity: &str, found: f64, remedy: &str| {
-            Err(Error::Diverged {
-                step: self.flow.steps(),
-                time: self.flow.time(),
-                quantity: quantity.to_owned(),
-                found: format!("is {found}"),
-                remedy: remedy.to_owned(),
-            })
-        };
-        if !value.is_finite() {
-            return lost(
-                "the loss",
-                value,
-                "start nearer to the truth, or take a smaller time step",
-            );
-        }
-        if let Some(slope) = gradient.iter().find(|slope| !slope.is_finite()) {
-            return lost("a component of the gradient", *slope, SHORTEN);
-        }
-        Ok(Evaluation {
-            parameters: learned.to_vec(),
-            loss: value,
-            trajectory: loss.value_of("trajectory"),
-            field: loss.value_of("field"),
-            kl: loss.value_of("kl"),
-            gradient,
-            normal,
-            squares: Vec::new(),
-        })
-    }
-
-    /// Bytes of the gradient in addition to the flow: forward sensitivities and linearised pairs,
+    /// Bytes of the gradient in addition to the flows: forward sensitivities and linearised pairs,
     /// or the largest memory of tape and snapshots in the last adjoint.
     pub fn gradient_bytes(&self) -> usize {
-        let parts = self.flow.bytes_per_particle();
-        let forward = ["sensitivities", "linearised pairs"];
-        let each = parts.iter().filter(|(part, _)| forward.contains(part));
-        let each = each.map(|(_, bytes)| *bytes).sum::<f64>();
-        self.held + (each * self.from.positions.len() as f64).round() as usize
+        self.lessons.iter().map(Prediction::gradient_bytes).sum()
     }
 
     /// The mode of differentiation.
     pub fn gradient(&self) -> Gradient {
         self.gradient
     }
-}
-
-/// The sums of squares of a loss; empty if it has another part.
-fn squares(loss: &LossSum, count: usize) -> Vec<Squares> {
-    let one = |(of, sum): &(&'static str, SquareSum)| Squares {
-        of,
-        value: sum.value,
-        count: sum.count,
-        size: sum.size,
-        normal: sum.normal(count),
-    };
-    loss.squares().unwrap_or_default().into_iter().map(one).collect()
 }

@@ -23,7 +23,7 @@ impl<const D: usize> Learner<D> {
         remarks: &mut Vec<String>,
     ) -> Vec<f64> {
         for (k, value) in guess.iter_mut().enumerate() {
-            let spec = &self.flow.parameters().specs()[self.places[k]];
+            let spec = &self.flow().parameters().specs()[self.places[k]];
             let free = self.learn.unbounded.contains(&spec.name) && value.is_finite();
             let dead = spec.domain == Domain::Positive && !(*value > 0.0 && value.is_finite());
             if dead && !(free && value.abs() > 0.0) {

@@ -1,5 +1,6 @@
 //! The result of a training.
 
+use super::HeldOut;
 use crate::learn::Knowledge;
 use crate::scene::CalibratedStep;
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,12 @@ pub struct TrainingReport {
     /// The statistical loss between realisations of the truth.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub kl_floor: Option<f64>,
+    /// Number of lessons, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lessons: Option<usize>,
+    /// The learned law in the lessons that are held out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held_out: Vec<HeldOut>,
     /// Largest difference between learned and true pressure, over the densities that occurred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pressure_error: Option<f64>,

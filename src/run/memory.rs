@@ -108,10 +108,13 @@ pub fn training_bytes<const D: usize>(scene: &Scene) -> f64 {
     for found in twin.of_training::<D>().unwrap_or_default() {
         bytes += particles * twin.held(&found.held);
     }
-    match learn.storage {
+    let lesson = match learn.storage {
         Storage::Bytes(budget) if uses_tape(scene) => bytes + budget as f64,
         _ => bytes,
-    }
+    };
+    // Each lesson has a flow of its own.
+    let lessons = learn.lessons.as_ref().map_or(1, |all| all.count().0.max(1));
+    lessons as f64 * lesson
 }
 
 /// Whether a search uses the adjoint.
@@ -153,6 +156,7 @@ impl Twin {
         if let Some(learn) = &mut twin.learn {
             (learn.after, learn.frames, learn.mesh) = (0, 1, Some(4));
             learn.windows.clear();
+            learn.lessons = None;
         }
         let frames = scene.learn.as_ref().map_or(0, |learn| learn.frames);
         Self { scene: twin, crowd, frames }
@@ -181,8 +185,7 @@ impl Twin {
         }
         // The tape has the steps of the large scene.
         let learn = Learn { frames: self.frames, ..scene.learning()?.clone() };
-        let lesson =
-            Lesson { learn, truth, known: None, seconds: 0.0, origin: None, warnings: Vec::new() };
+        let lesson = Lesson::of_truth(learn, truth);
         Requirements::of_training((scene, &lesson), (&mut learner, &guess))
     }
 }

@@ -6,6 +6,7 @@ pub mod door;
 mod evaluated;
 mod fitting;
 mod guard;
+mod held_out;
 mod import;
 mod law;
 mod learned;
@@ -22,10 +23,11 @@ pub use dns::{DnsRequirements, dns_info, run_dns};
 pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};
+pub use held_out::HeldOut;
 pub use import::{Import, Imported, Origins};
 pub use law::{law_of_recording, open_law};
 pub use learned::{Losses, Seconds, TrainingReport};
-pub use lesson::{Lesson, calibrate_training};
+pub use lesson::{Lesson, Window, calibrate_training};
 pub use memory::{
     AvailableMemory, simulation_bytes, simulation_must_fit, training_bytes, training_must_fit,
 };

@@ -237,7 +237,7 @@ impl Reproduction {
     fn train(&self, study: Study, model: &str, tick: &mut dyn FnMut(f64, &str)) -> Result<()> {
         let scene = self.scene(study, model)?;
         let lesson = Lesson::<3>::new(&scene, None)?;
-        let mut learner = Learner::of_truth(&scene, &lesson.truth)?;
+        let mut learner = Learner::of_truths(&scene, &lesson.truths())?;
         let guess = learner.guess(scene.seed);
         let record = Output::create(&self.file(study, &format!("{model}.mcap")))?;
         let (lesson, scene, earlier) = (&lesson, &scene, Vec::new());

@@ -1,8 +1,8 @@
 //! A complete training: truth, search and learned flow, all recorded.
 
 use super::{
-    Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, run_info,
-    run_recorded, what_stopped,
+    HeldOut, Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, held_out,
+    run_info, run_recorded, what_stopped,
 };
 use crate::error::{Error, Result};
 use crate::flow::Flow;
@@ -24,6 +24,8 @@ use std::time::Instant;
 pub enum Progress<'a> {
     /// One more true flow was run for the sampling floor.
     Floor,
+    /// The learned law was run in one more lesson that is held out.
+    HeldOut,
     /// One more iteration.
     Iteration(&'a Iteration<'a>),
     /// A warning, which is also in the log.
@@ -73,7 +75,8 @@ impl<const D: usize> Training<'_, D> {
         let clock = Instant::now();
         let outcome = self.search(learner, guess, (&mut recorder, watch)).and_then(|outcome| {
             let error = self.record_learned(learner, &outcome, &mut recorder)?;
-            Ok((outcome, error))
+            let held_out = self.judge(learner, &outcome, (&mut recorder, watch))?;
+            Ok((outcome, (error, held_out)))
         });
         let (level, text) = match &outcome {
             Ok((o, _)) => (
@@ -90,9 +93,9 @@ impl<const D: usize> Training<'_, D> {
         recorder.conclude(&outcome)?;
         let outcome = interrupt::keep(outcome, || self.kept(recorded));
         let seconds = Seconds { truth: self.lesson.seconds, train: clock.elapsed().as_secs_f64() };
-        let (outcome, pressure_error) = outcome?;
+        let (outcome, (pressure_error, held_out)) = outcome?;
         let report = self.report(learner, &outcome, seconds);
-        Ok(TrainingReport { kl_floor, pressure_error, ..report })
+        Ok(TrainingReport { kl_floor, pressure_error, held_out, ..report })
     }
 
     /// The result of a search that was interrupted after a number of recorded iterations, and how
@@ -130,7 +133,11 @@ impl<const D: usize> Training<'_, D> {
         }
         let (what, gradient) = (what(learner), learner.gradient().name());
         let steps = lesson.learn.steps();
-        let text = format!("learning {what} from {steps} steps, gradient: {gradient}");
+        let lessons = match (learner.lessons(), lesson.held_out.len()) {
+            (1, 0) => String::new(),
+            (taught, held) => format!(" of each of {taught} lessons ({held} held out)"),
+        };
+        let text = format!("learning {what} from {steps} steps{lessons}, gradient: {gradient}");
         recorder.log(Level::Info, start, text)?;
         if let Some(before) = self.iterations_before() {
             let text = format!("going on from iteration {before} of an earlier recording");
@@ -253,6 +260,25 @@ impl<const D: usize> Training<'_, D> {
         Ok(learned.then(|| pressure_error(&flow, &scene.fluid.constants(), seen)))
     }
 
+    /// Runs the learned law in the lessons that are held out; also written to the log.
+    fn judge(
+        &self,
+        learner: &Learner<D>,
+        outcome: &Outcome,
+        (recorder, watch): (&mut Recorder, &mut dyn FnMut(Progress<'_>)),
+    ) -> Result<Vec<HeldOut>> {
+        let learned = (learner.columns(), &outcome.evaluation.parameters[..]);
+        let found = held_out::judge(self.scene, self.lesson, learned, &mut || {
+            watch(Progress::HeldOut);
+        })?;
+        let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
+        for held in &found {
+            let level = if held.diverged.is_some() { Level::Warning } else { Level::Info };
+            recorder.log(level, end, held.to_string())?;
+        }
+        Ok(found)
+    }
+
     /// Records the knowledge of the parameters: in the log, and as the attachment `knowledge.json`.
     fn record_knowledge(
         &self,
@@ -305,6 +331,8 @@ impl<const D: usize> Training<'_, D> {
             },
             knowledge: outcome.knowledge.clone(),
             kl_floor: None,
+            lessons: (learner.lessons() > 1).then_some(learner.lessons()),
+            held_out: Vec::new(),
             pressure_error: None,
         }
     }

@@ -30,6 +30,7 @@ impl Scene {
             requirements.extend(learn_requirements(learn));
             requirements.extend(optimiser_requirements(&learn.optimiser));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
+            requirements.extend(learn.lessons.iter().flat_map(|all| all.requirements(learn)));
             self.must_know(origin, learn)?;
             self.must_start_inside(origin, learn)?;
         }

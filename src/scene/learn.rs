@@ -1,5 +1,6 @@
 //! The learning part of a scene.
 
+use super::Lessons;
 use crate::models::ModelChoice;
 use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient, Storage};
@@ -70,6 +71,9 @@ pub struct Learn {
     /// The loss below which the search ends.
     #[serde(default = "defaults::target")]
     pub target: f64,
+    /// Many windows of one or more truths instead of one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lessons: Option<Lessons>,
 }
 
 /// What the field loss compares with.
@@ -217,6 +221,13 @@ pub enum Optimiser {
         #[serde(default = "defaults::one")]
         decay: f64,
     },
+}
+
+impl Optimiser {
+    /// Whether it is Adam or RMSprop, which compare no two losses.
+    pub fn is_first_order(&self) -> bool {
+        matches!(self, Self::Adam { .. } | Self::Rmsprop { .. })
+    }
 }
 
 impl Default for Optimiser {

@@ -13,6 +13,7 @@ pub mod dns;
 mod guests;
 mod law;
 mod learn;
+mod lessons;
 mod read;
 mod suggest;
 
@@ -22,6 +23,7 @@ pub use dns::DnsScene;
 pub use guests::{Guests, Values};
 pub use law::{Constants, Law, Provenance};
 pub use learn::{FieldTarget, Increments, Learn, Optimiser, Times, WarmUp, Weights};
+pub use lessons::{FurtherTruth, Lessons};
 pub use read::{AnyScene, SHIPPED, SHIPPED_DNS, Shipped};
 
 use crate::error::{Error, Result};
@@ -342,6 +344,7 @@ impl Scene {
         (learn.loss, learn.optimiser, learn.windows) = (loss, optimiser, windows);
         (learn.iterations, learn.target) = (iterations, target);
         learn.gradient = Gradient::Auto;
+        learn.lessons.iter_mut().for_each(|lessons| lessons.batch = None);
         Some(scene)
     }
 

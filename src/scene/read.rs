@@ -75,9 +75,13 @@ const HIERARCHY_2D: [Shipped; 6] = hierarchy! { "shipped/hierarchy-2d.toml":
     "physics-2d" [PHYSICAL, UNBOUNDED, FIELD_FIRST];
 };
 
-/// Every scene that is compiled in.
-pub const SHIPPED: [Shipped; 15] = {
-    let mut all = [INVERSE[0]; 15];
+/// The training whose truth is the direct numerical simulation of the same name.
+const DNS_TRAINING: Shipped =
+    Shipped { name: "dns-3d", text: include_str!("shipped/dns-3d-training.toml"), overrides: &[] };
+
+/// Every scene of particles that is compiled in.
+pub const SHIPPED: [Shipped; 16] = {
+    let mut all = [DNS_TRAINING; 16];
     let mut k = 0;
     while k < 15 {
         all[k] = match k {

@@ -1,11 +1,11 @@
 //! A truth made by a direct numerical simulation, `truth.kind = "dns"`.
 
-use super::Truth;
+use super::{Truth, Windows};
 use crate::dns::Solver;
 use crate::error::{Error, Result};
 use crate::flow::State;
 use crate::kernel::Transform;
-use crate::scene::dns::{Dns, TruthSource, in_truth};
+use crate::scene::dns::Dns;
 use crate::scene::{FieldTarget, Learn, Scene};
 use crate::truth::summed_densities;
 
@@ -15,11 +15,8 @@ impl<const D: usize> Truth<D> {
     ///
     /// # Errors
     /// As [`Truth::generate`] and [`Truth::of_dns`].
-    pub fn of_scene(scene: &Scene, part: (u64, usize)) -> Result<Self> {
-        match &scene.truth {
-            None => Self::generate(scene, part),
-            Some(TruthSource::Dns(dns)) => Self::of_dns(scene, dns, part).map_err(in_truth),
-        }
+    pub fn of_scene(scene: &Scene, (after, frames): (u64, usize)) -> Result<Self> {
+        Windows::one(after, frames).only(|windows| Self::windows_of_scene(scene, windows))
     }
 
     /// Tracers of a direct numerical simulation in the scene's box, seeded at the scene's initial positions when the
@@ -31,18 +28,39 @@ impl<const D: usize> Truth<D> {
     /// [`Error::Input`] where the mesh does not resolve the flow, `k_max η < 1`, or the start does not fit;
     /// [`Error::Diverged`] and [`Error::Interrupted`] from the solver.
     pub fn of_dns(scene: &Scene, dns: &Dns, (after, frames): (u64, usize)) -> Result<Self> {
+        Windows::one(after, frames).only(|windows| Self::windows_of_dns(scene, dns, windows))
+    }
+
+    /// The same for several windows of one simulation; each seeds its tracers anew.
+    pub(super) fn windows_of_dns(scene: &Scene, dns: &Dns, windows: &Windows) -> Result<Vec<Self>> {
+        let every = scene.observed_every();
+        (0..windows.count).try_for_each(|number| windows.gap(number, every).map(drop))?;
         let mut solver = dns.developed::<D>((scene.fluid.box_length, scene.seed), &mut |_| {})?;
-        solver.advance_to(solver.time() + after as f64 * scene.dt())?;
+        let first = solver.time() + windows.after as f64 * scene.dt();
+        let start = |number: usize| first + (number as u64 * windows.stride) as f64 * scene.dt();
+        (0..windows.count)
+            .map(|number| {
+                Self::window_of_dns(scene, &mut solver, (start(number), windows.frames_of(number)))
+            })
+            .collect()
+    }
+
+    /// A window that begins at a time.
+    fn window_of_dns(
+        scene: &Scene,
+        solver: &mut Solver<D>,
+        (start, frames): (f64, usize),
+    ) -> Result<Self> {
+        solver.advance_to(start)?;
         solver.seed(&State::<D>::initial(scene).positions);
-        let start = solver.time();
         let filter = scene.learn.as_ref().filter(|learn| learn.field == FieldTarget::Filtered);
         let mut truth = Self { is_recorded: true, ..Self::default() };
         for number in 0..=frames {
             solver.advance_to(start + number as f64 * scene.observed_interval())?;
             solver.statistics().check_resolution()?;
-            truth.keep_tracers(scene, &mut solver);
+            truth.keep_tracers(scene, solver);
             if let Some(learn) = filter {
-                truth.fields.push(filtered(scene, learn, &solver)?);
+                truth.fields.push(filtered(scene, learn, solver)?);
             }
         }
         Ok(truth)

@@ -15,6 +15,8 @@ mod first_steps;
 mod knowledge;
 #[path = "../learning.rs"]
 mod learning;
+#[path = "../lessons.rs"]
+mod lessons;
 #[path = "../noise.rs"]
 mod noise;
 #[path = "../recovery_of_parameters.rs"]

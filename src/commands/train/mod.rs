@@ -89,14 +89,15 @@ fn train<const D: usize>(arguments: &Arguments, scene: &Scene) -> Result<()> {
     }
     let output = reserve_output(arguments, scene)?;
     training_must_fit::<D>(scene)?;
-    let waiting = progress(0, "truth");
+    let truths = Lesson::<D>::work(scene.learning()?);
+    let waiting = progress(if truths > 1 { truths } else { 0 }, "truth");
     let force = arguments.force;
     let given = arguments.truth.as_deref().map(|path| Given { path, force });
     let choice = calibrate_training::<D>(scene, given)?;
     let scene = &choice.scene;
-    let lesson = Lesson::<D>::new(scene, given)?;
+    let lesson = Lesson::<D>::with_progress(scene, given, &mut || waiting.inc(1))?;
     lesson.warnings.iter().for_each(|text| warn(text));
-    let mut learner = Learner::of_truth(scene, &lesson.truth)?;
+    let mut learner = Learner::of_truths(scene, &lesson.truths())?;
     let Earlier { steps, guess } = match &arguments.resume {
         None => Earlier { steps: Vec::new(), guess: learner.guess(scene.seed) },
         Some(path) => Earlier::open(path, &learner)?,
@@ -150,6 +151,7 @@ fn learn_and_record<const D: usize>(
     let bar = progress((before + lesson.learn.iterations) as u64, "train");
     let outcome = training.run(learner, guess, &mut |progress| match progress {
         Progress::Floor => bar.set_message("sampling floor"),
+        Progress::HeldOut => bar.set_message("held-out lessons"),
         Progress::Iteration(iteration) => {
             bar.set_position(iteration.index as u64);
             bar.set_message(format!("loss {:.2e}", iteration.evaluation.loss));

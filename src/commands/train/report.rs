@@ -2,15 +2,16 @@
 
 use crate::commands::common::say;
 use crate::parameters::Parameter;
-use crate::run::{Losses, TrainingReport};
+use crate::run::{HeldOut, Losses, TrainingReport};
 
 /// Prints a report in words.
 pub(crate) fn describe(report: &TrainingReport) {
     say(format!(
-        "{}: {} particles over {} steps, loss {:.2e} -> {:.2e} in {} iterations{}, gradient {} ({:.1} s)",
+        "{}: {} particles over {} steps{}, loss {:.2e} -> {:.2e} in {} iterations{}, gradient {} ({:.1} s)",
         report.scene,
         report.particles,
         report.steps,
+        report.lessons.map_or_else(String::new, |lessons| format!(" of each of {lessons} lessons")),
         report.loss_initial,
         report.loss_final,
         report.iterations - report.iterations_before.unwrap_or(0),
@@ -47,6 +48,35 @@ pub(crate) fn describe(report: &TrainingReport) {
         };
         say(format!("  {name:6} {known}{against}"));
     }
+    describe_held_out(&report.held_out);
     report.knowledge.lines().iter().for_each(|line| say(format!("  {line}")));
     say(format!("recorded in {}", report.recording.display()));
+}
+
+/// Errors in the lessons that are held out, and the flows that diverged.
+fn describe_held_out(held_out: &[HeldOut]) {
+    let Some(first) = held_out.first() else { return };
+    let end = first.times.last().copied().unwrap_or_default();
+    let middle = |of: &dyn Fn(&HeldOut) -> f64| {
+        let mut all: Vec<f64> = held_out.iter().map(of).filter(|x| x.is_finite()).collect();
+        all.sort_by(f64::total_cmp);
+        let median = all.get(all.len() / 2).copied().unwrap_or(f64::NAN);
+        (median, all.first().copied().unwrap_or(f64::NAN), all.last().copied().unwrap_or(f64::NAN))
+    };
+    let (error, low, high) = middle(&|held| held.last_field().unwrap_or(f64::NAN));
+    let ballistic = middle(&|held| held.ballistic.last().copied().unwrap_or(f64::NAN)).0;
+    if error.is_finite() {
+        say(format!(
+            "  held out, {} lessons: relative field error {error:.4} ({low:.4} to {high:.4}) after {end:.3}; ballistic \
+             {ballistic:.4}",
+            held_out.len(),
+        ));
+        say(format!(
+            "  it stays below a tenth for {:.3}; ballistic {:.3}",
+            middle(&|held| held.follows(&held.field)).0,
+            middle(&|held| held.follows(&held.ballistic)).0
+        ));
+    }
+    let diverged = held_out.iter().filter(|held| held.diverged.is_some());
+    diverged.for_each(|held| say(format!("  {held}")));
 }

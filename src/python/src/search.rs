@@ -113,7 +113,7 @@ fn observed<const D: usize>(
     let sum = |state: &State<D>| summed_densities(kernel, space, &state.positions);
     let densities = densities.unwrap_or_else(|| states.iter().map(sum).collect());
     let truth = Truth { states, densities, fields: Vec::new(), is_recorded: true };
-    Ok(Lesson { learn, truth, known: None, seconds: 0.0, origin: None, warnings: Vec::new() })
+    Ok(Lesson::of_truth(learn, truth))
 }
 
 /// Everything that a search found.
@@ -132,7 +132,7 @@ fn search<const D: usize>(
     progress: &Progress,
 ) -> Result<Found> {
     let lesson = source.lesson(scene)?;
-    let mut learner = Learner::of_truth(scene, &lesson.truth)?;
+    let mut learner = Learner::of_truths(scene, &lesson.truths())?;
     let names: Vec<String> = learner.columns().iter().map(ToString::to_string).collect();
     let mut start = learner.guess(scene.seed);
     for (name, value) in guess {

@@ -24,7 +24,6 @@ mod fill;
 mod keys;
 mod motion;
 
-use super::Origin;
 use crate::error::{Error, Result};
 use crate::flow::State;
 use crate::recording::{self, Numbered, Recording};
@@ -316,19 +315,6 @@ pub fn admit_state<const D: usize>(
     keys::check_particles(state.positions.len(), scene, &mut findings);
     state.positions.iter_mut().for_each(|r| *r = space.wrap(*r));
     Ok((state, findings.warnings))
-}
-
-/// A truth with its origin.
-///
-/// # Errors
-/// As [`admit`] and [`Origin::of`].
-pub(crate) fn admit_given<const D: usize>(
-    given: Given<'_>,
-    scene: &Scene,
-    part: (usize, usize),
-) -> Result<(Admitted<D>, Origin)> {
-    let admitted = admit(&Recording::open(given.path)?, scene, part, given.force)?;
-    Ok((admitted, Origin::of(given.path)?))
 }
 
 /// The median of some numbers.
