@@ -15,6 +15,7 @@ use crate::neighbours::cells::Cells;
 use crate::packed::Packed;
 use crate::scene::{Learn, Scene, Times};
 use crate::space::Space;
+use crate::systems::loss::statistics::{TrueState, statistics};
 use crate::systems::loss::{Observation, Observations};
 use crate::vector::Vector;
 use rayon::prelude::*;
@@ -136,18 +137,25 @@ impl<const D: usize> Truth<D> {
         let space = scene.space();
         let mesh = field_mesh(scene, learn);
         let states = self.states.iter().zip(&self.densities).skip(1).take(learn.frames);
+        let statistics = statistics::<D>(&learn.statistics);
+        let needs_field = learn.loss.field > 0.0
+            || statistics.iter().any(|(_, statistic)| statistic.needs_field());
         let observation = |(k, (state, densities)): (usize, (&State<D>, &Vec<f64>))| {
             let increments =
                 || IncrementDensities::new(&self.increments(k + 1), learn.increments.nodes);
+            let field = match self.fields.get(k + 1) {
+                _ if !needs_field => Vec::new(),
+                Some(field) => field.clone(),
+                None => velocity_field(scene, &mesh, state, densities),
+            };
+            let seen = TrueState { first: &self.states[0], state, field: &field, mesh: &mesh };
+            let values = statistics.iter().map(|(_, statistic)| statistic.of_truth(&seen));
             Ok(Observation {
+                statistics: values.collect(),
                 step: (k as u64 + 1) * learn.every,
                 positions: state.positions.iter().map(|&r| space.wrap(r)).collect(),
                 velocities: state.velocities.clone(),
-                field: match self.fields.get(k + 1) {
-                    _ if learn.loss.field <= 0.0 => Vec::new(),
-                    Some(field) => field.clone(),
-                    None => velocity_field(scene, &mesh, state, densities),
-                },
+                field,
                 increments: (learn.loss.kl > 0.0).then(increments).transpose()?,
             })
         };
@@ -160,7 +168,11 @@ impl<const D: usize> Truth<D> {
             mesh,
             kl: learn.statistical_weight(learn.every as f64 * scene.dt()),
             times: learn.increments.times,
-            start: Arc::new(self.states[0].velocities.clone()),
+            statistics: learn.weights_of_statistics(learn.every as f64 * scene.dt()),
+            first: Arc::new(match learn.statistics.dispersion > 0.0 {
+                true => self.states[0].clone(),
+                false => State { positions: Vec::new(), ..self.states[0].clone() },
+            }),
         })
     }
 }

@@ -242,6 +242,7 @@ fn with_fixed<const D: usize>(
         trajectory: loss.value_of("trajectory"),
         field: loss.value_of("field"),
         kl: loss.value_of("kl"),
+        statistics: Vec::new(),
         gradient: loss.gradient(count),
         normal: loss.normal(count),
         squares: Vec::new(),

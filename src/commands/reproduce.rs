@@ -1,7 +1,7 @@
 //! `reproduce`: the evidence of Woodward et al. (arXiv:2110.13311) from nothing.
 
 
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use super::common::{conclude, say, say_json};
 use indicatif::ProgressBar;
 use super::meter::Meter;
@@ -9,7 +9,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use crate::run::{Guard, Reproduction, Stage};
+use crate::run::{DnsStudy, Guard, LAWS, Reproduction, Stage, Truths};
 use crate::{Result, interrupt};
 
 /// Trains the six models of the hierarchy on three flows, evaluates them, and prints what they are worth
@@ -17,6 +17,10 @@ use crate::{Result, interrupt};
 #[derive(Debug, Parser)]
 #[command(name = "reproduce", version)]
 pub(super) struct Arguments {
+    /// `hierarchy`: the evidence of Woodward et al.; `dns`: laws learned from a Navier-Stokes flow, judged where none was
+    /// trained.
+    #[arg(long, value_enum, default_value_t = Evidence::Hierarchy)]
+    study: Evidence,
     /// A small flow and short searches: whether everything works, in one or two minutes.
     #[arg(long)]
     quick: bool,
@@ -35,6 +39,13 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// What is reproduced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Evidence {
+    Hierarchy,
+    Dns,
+}
+
 /// Runs the command.
 pub(super) fn execute(arguments: &Arguments) -> ExitCode {
     // If signals cannot be caught, they end the command as usual.
@@ -46,6 +57,9 @@ pub(super) fn execute(arguments: &Arguments) -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.study == Evidence::Dns {
+        return study_of_dns(arguments);
+    }
     let name = if arguments.quick { "reproduction-quick" } else { "reproduction" };
     let folder = arguments.out.clone().unwrap_or_else(|| PathBuf::from("recordings").join(name));
     let (quick, seed) = (arguments.quick, arguments.seed);
@@ -107,6 +121,52 @@ fn stages(reproduction: &Reproduction) -> Result<(usize, usize)> {
     }
     bar.finish_and_clear();
     Ok((before, left.len()))
+}
+
+/// Learns and judges the laws that are not done, and prints what they are worth.
+fn study_of_dns(arguments: &Arguments) -> Result<()> {
+    let name = if arguments.quick { "dns-study-quick" } else { "dns-study" };
+    let folder = arguments.out.clone().unwrap_or_else(|| PathBuf::from("recordings").join(name));
+    let study = DnsStudy { folder, quick: arguments.quick, seed: arguments.seed };
+    let guard = Guard { command: "reproduce", ..Guard::default() };
+    let _reserved = guard.reserve_folder(&study.folder, &["dns-study.json", "dns-study.html"])?;
+    let clock = Instant::now();
+    let template = "[{bar:30}] {percent}% ({elapsed}, {eta} left) {prefix} {msg}";
+    let mut left = Vec::new();
+    for law in &LAWS {
+        if !study.is_done(law)? {
+            left.push(law);
+        }
+    }
+    let bar = Meter::new(1000 * left.len() as u64, "reproduce", template);
+    let mut truths = Truths::default();
+    let learned = left.iter().enumerate().try_for_each(|(k, law)| {
+        bar.set_prefix(format!("{} of {}, {}", LAWS.len() - left.len() + k + 1, LAWS.len(), law.name));
+        study.run(law, &mut truths, &mut |share, word| {
+            bar.set_position((1000.0 * (k as f64 + share)) as u64);
+            bar.set_message(word.to_owned());
+        })
+    });
+    interrupt::keep(learned, || {
+        let folder = study.folder.display();
+        format!("the laws that are done are kept in {folder}; the same command goes on from there")
+    })?;
+    bar.finish_and_clear();
+    let report = study.conclude()?;
+    report.tables.iter().for_each(|table| say(table.plain_text()));
+    let page = study.folder.join("dns-study.html");
+    say(format!("report in {}", page.display()));
+    if !arguments.json {
+        return Ok(());
+    }
+    say_json(&json!({
+        "laws": LAWS.len(),
+        "laws_done_before": LAWS.len() - left.len(),
+        "seconds": clock.elapsed().as_secs_f64(),
+        "report": study.folder.join("dns-study.json"),
+        "html": page,
+        "tables": report.tables,
+    }))
 }
 
 /// Prints a line per stage where there is no terminal for a bar.

@@ -3,7 +3,7 @@
 use super::Candidate;
 use crate::error::Result;
 use crate::flow::{Flow, State};
-use crate::scene::{Increments, Learn, Scene, Times, Weights};
+use crate::scene::{Increments, Learn, Scene, StatisticWeights, Times, Weights};
 use crate::systems::loss::Observations;
 use crate::truth::Truth;
 use crate::vector::Vector;
@@ -74,6 +74,7 @@ pub fn observations<const D: usize>(
     let learn = Learn {
         frames: truth.states.len() - 1,
         loss: Weights { trajectory: 1.0, field: 1.0, kl },
+        statistics: StatisticWeights::default(),
         increments: Increments { times: Times::All, ..learn.increments },
         ..learn.clone()
     };

@@ -6,7 +6,7 @@ use crate::neighbours::near::Near;
 use crate::scalar::Precision;
 use crate::systems::ScheduleKind;
 use crate::systems::density_tangent::DensityJacobian;
-use crate::systems::loss::Observations;
+use crate::systems::loss::{Observation, Observations};
 use crate::systems::neighbours::{Chunk, Neighbours};
 use crate::systems::particles::{
     Accelerations, AdjointCloud, BlockOf, Densities, PairInputs, ParticleId, SensitivityCloud,
@@ -269,11 +269,16 @@ impl<const D: usize> Flow<D> {
             return Vec::new();
         };
         let frames = observed.frames.iter();
+        let statistics = |frame: &Observation<D>| {
+            room(&frame.statistics) + frame.statistics.iter().map(room).sum::<usize>()
+        };
         vec![
             ("positions of each frame", frames.clone().map(|frame| room(&frame.positions)).sum()),
             ("velocities of each frame", frames.clone().map(|frame| room(&frame.velocities)).sum()),
             ("field of each frame", frames.map(|frame| room(&frame.field)).sum()),
-            ("velocities at the start", room(&observed.start)),
+            ("velocities at the start", room(&observed.first.velocities)),
+            ("positions at the start", room(&observed.first.positions)),
+            ("statistics of each frame", observed.frames.iter().map(statistics).sum()),
         ]
     }
 }

@@ -43,6 +43,7 @@ fn mean(all: Vec<Evaluation>) -> Result<Evaluation> {
         sum.trajectory += next.trajectory;
         sum.field += next.field;
         sum.kl += next.kl;
+        sum.statistics.iter_mut().zip(&next.statistics).for_each(|(sum, next)| sum.1 += next.1);
         add(&mut sum.gradient, &next.gradient);
         add(&mut sum.normal, &next.normal);
         sum.squares.iter_mut().zip(&next.squares).for_each(|(sum, next)| sum.add(next));
@@ -50,6 +51,7 @@ fn mean(all: Vec<Evaluation>) -> Result<Evaluation> {
     for part in [&mut sum.loss, &mut sum.trajectory, &mut sum.field, &mut sum.kl] {
         *part *= share;
     }
+    sum.statistics.iter_mut().for_each(|part| part.1 *= share);
     sum.gradient.iter_mut().chain(&mut sum.normal).for_each(|x| *x *= share);
     for squares in &mut sum.squares {
         squares.value *= share;

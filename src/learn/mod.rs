@@ -41,6 +41,8 @@ pub struct Evaluation {
     pub field: f64,
     /// Its statistical part.
     pub kl: f64,
+    /// Its parts by statistics, by name; none of those without a weight.
+    pub statistics: Vec<(&'static str, f64)>,
     /// `∂loss/∂parameters`.
     pub gradient: Vec<f64>,
     /// Gauss–Newton matrix, row by row; empty where the gradient came from the adjoint.

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::flow::{Differentiation, Flow, State};
 use crate::losses::SquareSum;
 use crate::parameters::Parameter;
-use crate::scene::{Learn, Scene};
+use crate::scene::{Learn, Scene, StatisticWeights};
 use crate::sensitivity::{Gradient, SHORTEN, adjoint_gradient};
 use crate::systems::loss::{LossSum, Observations};
 
@@ -114,6 +114,7 @@ impl<const D: usize> Prediction<D> {
             trajectory: loss.value_of("trajectory"),
             field: loss.value_of("field"),
             kl: loss.value_of("kl"),
+            statistics: by_statistic(loss),
             gradient,
             normal,
             squares: Vec::new(),
@@ -129,6 +130,12 @@ impl<const D: usize> Prediction<D> {
         let each = each.map(|(_, bytes)| *bytes).sum::<f64>();
         self.held + (each * self.from.positions.len() as f64).round() as usize
     }
+}
+
+/// The values of the losses of statistics.
+fn by_statistic(loss: &LossSum) -> Vec<(&'static str, f64)> {
+    let named = StatisticWeights::default().named().map(|(name, _)| name);
+    named.iter().filter(|name| loss.part(name).is_some()).map(|&n| (n, loss.value_of(n))).collect()
 }
 
 /// The sums of squares of a loss; empty if it has another part.

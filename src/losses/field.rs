@@ -226,17 +226,27 @@ pub fn field_adjoint<K: Kernel, const D: usize>(
 ) -> StateAdjoint<D> {
     let weight = weight / (mesh.len() * D) as f64;
     let mut nodes = field(mesh, points);
-    let mut adjoint = StateAdjoint::zero(points.packed.len());
+    let mut value = 0.0;
     for (node, expected) in nodes.iter_mut().zip(truth) {
         let difference = *node - *expected;
-        adjoint.value += weight * difference.norm_squared();
+        value += weight * difference.norm_squared();
         *node = difference * (2.0 * weight);
     }
+    StateAdjoint { value, ..pull_back_nodes(mesh, points, &nodes) }
+}
+
+/// The derivative by each particle's position (at fixed density), velocity and density, from `λ = ∂L/∂V` at the nodes.
+pub(crate) fn pull_back_nodes<K: Kernel, const D: usize>(
+    mesh: &Mesh<D>,
+    points: &Points<'_, K, D>,
+    nodes: &[Vector<f64, D>],
+) -> StateAdjoint<D> {
+    let mut adjoint = StateAdjoint::zero(points.packed.len());
     if mesh.is_empty() {
         return adjoint;
     }
     let lattice = PaddedGrid::new(mesh, points.smoothing.support());
-    let nodes = &unfold(&nodes, &lattice);
+    let nodes = &unfold(nodes, &lattice);
     let columns =
         adjoint.position.par_chunks_mut(CHUNK).zip(adjoint.velocity.par_chunks_mut(CHUNK));
     let columns = columns.zip(adjoint.density.par_chunks_mut(CHUNK));

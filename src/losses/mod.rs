@@ -14,6 +14,7 @@ mod mesh;
 mod statistical;
 mod trajectory;
 
+pub(crate) use field::pull_back_nodes;
 pub use field::{Points, field, field_adjoint, field_value};
 pub use field_tangent::{DirectParameter, field_loss};
 pub use increments::{

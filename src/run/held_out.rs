@@ -1,15 +1,13 @@
 //! Lessons that taught nothing: what a learned law does in them.
 
-use super::Lesson;
 use super::lesson::Window;
 use crate::error::{Error, Result};
-use crate::evaluation::observations;
 use crate::flow::{Flow, State};
 use crate::interrupt;
+use crate::losses::{IncrementDensities, Mesh};
 use crate::parameters::Parameter;
 use crate::scene::Scene;
-use crate::systems::loss::Observations;
-use crate::truth::{summed_densities, velocity_field};
+use crate::truth::{field_mesh, summed_densities, velocity_field};
 use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display, Formatter};
@@ -44,17 +42,12 @@ impl HeldOut {
         self.field.last().copied().filter(|_| self.diverged.is_none())
     }
 
-    /// The time up to which errors stay below a tenth, linear between frames: all of it if they never pass.
-    pub fn follows(&self, errors: &[f64]) -> f64 {
-        let before =
-            |k: usize| if k == 0 { (0.0, 0.0) } else { (self.times[k - 1], errors[k - 1]) };
-        match errors.iter().position(|error| *error > FOLLOWS) {
-            Some(k) => {
-                let (time, error) = before(k);
-                time + (self.times[k] - time) * (FOLLOWS - error) / (errors[k] - error)
-            }
-            None => errors.len().checked_sub(1).map_or(0.0, |last| self.times[last]),
-        }
+    /// The time at which errors pass a tenth, linear between frames; none if they never do.
+    pub fn follows_until(&self, errors: &[f64]) -> Option<f64> {
+        let k = errors.iter().position(|error| *error > FOLLOWS)?;
+        let before = k.checked_sub(1);
+        let (time, error) = before.map_or((0.0, 0.0), |k| (self.times[k], errors[k]));
+        Some(time + (self.times[k] - time) * (FOLLOWS - error) / (errors[k] - error))
     }
 }
 
@@ -72,95 +65,124 @@ impl Display for HeldOut {
     }
 }
 
-/// Runs a learned law in every lesson that is held out; `after` is called after each.
+/// A learned law: the scene that it moves in, and its parameters.
+#[derive(Clone, Copy)]
+pub(super) struct Learned<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) columns: &'a [Parameter],
+    pub(super) values: &'a [f64],
+}
+
+/// Runs a learned law in windows, and compares it with their truth in the field of the kernel of `metric`, at the start of
+/// its search; `after` is called after each window.
 ///
 /// # Errors
 /// [`Error::Input`] where a truth holds a number that is not finite, [`Error::Interrupted`].
 pub(super) fn judge<const D: usize>(
-    scene: &Scene,
-    lesson: &Lesson<D>,
-    learned: (&[Parameter], &[f64]),
+    learned: Learned<'_>,
+    metric: &Scene,
+    windows: &[Window<D>],
     after: &mut dyn FnMut(),
 ) -> Result<Vec<HeldOut>> {
+    let learn = metric.learning()?;
     let one = |window: &Window<D>| {
         interrupt::check()?;
-        let seen = observations(scene, (&lesson.learn, true), &window.truth)?;
-        let held = judge_one(scene, window, (&seen, learned));
+        let frames = window.truth.states.len() - 1;
+        let seen = Comparison {
+            metric,
+            mesh: field_mesh(metric, learn),
+            nodes: learn.increments.nodes,
+            window,
+        };
+        let held = seen.judge(learned, frames);
         after();
         held
     };
-    lesson.held_out.iter().map(one).collect()
+    windows.iter().map(one).collect()
 }
 
-fn judge_one<const D: usize>(
-    scene: &Scene,
-    window: &Window<D>,
-    (seen, (columns, values)): (&Observations<D>, (&[Parameter], &[f64])),
-) -> Result<HeldOut> {
-    let first = &window.truth.states[0];
-    let mut held = HeldOut {
-        of: window.of.clone(),
-        start: first.time,
-        times: seen.frames.iter().map(|frame| frame.step as f64 * scene.dt()).collect(),
-        field: Vec::new(),
-        ballistic: ballistic(scene, first, seen),
-        kl: Vec::new(),
-        diverged: None,
-    };
-    let mut flow = Flow::<D>::build(scene, first, None, Some(seen.clone()))?;
-    flow.set_learned(columns, values)?;
-    match follow(&mut flow, seen, &mut held) {
-        Err(error @ Error::Diverged { .. }) => held.diverged = Some(error.to_string()),
-        other => other?,
-    }
-    Ok(held)
+/// A window, and how flows are compared with it.
+struct Comparison<'a, const D: usize> {
+    metric: &'a Scene,
+    mesh: Mesh<D>,
+    /// Nodes of the densities of increments.
+    nodes: usize,
+    window: &'a Window<D>,
 }
 
-/// Runs a flow over the frames and keeps its errors.
-fn follow<const D: usize>(
-    flow: &mut Flow<D>,
-    seen: &Observations<D>,
-    held: &mut HeldOut,
-) -> Result<()> {
-    flow.start()?;
-    let mut before = [0.0; 2];
-    for frame in seen.frames.iter() {
-        while flow.steps() < frame.step {
-            flow.step()?;
-        }
-        let loss = flow.loss();
-        // The field loss is a mean over frames, nodes and components.
-        let now = [loss.value_of("field") * seen.frames.len() as f64, loss.value_of("kl")];
-        held.field.push((now[0] - before[0]) / power(&frame.field));
-        held.kl.push(now[1] - before[1]);
-        before = now;
-    }
-    Ok(())
-}
-
-/// `⟨|V̂|²⟩/D`.
-fn power<const D: usize>(field: &[Vector<f64, D>]) -> f64 {
-    field.iter().map(|v| v.norm_squared()).sum::<f64>() / (D * field.len()) as f64
-}
-
-/// Errors of particles that keep their first velocity, frame by frame.
-fn ballistic<const D: usize>(scene: &Scene, first: &State<D>, seen: &Observations<D>) -> Vec<f64> {
-    let space = scene.space();
-    let kernel = (scene.fluid.kernel, scene.fluid.smoothing_length);
-    let error = |frame: &crate::systems::loss::Observation<D>| {
-        let time = frame.step as f64 * scene.dt();
-        let moved = first.positions.iter().zip(&first.velocities);
-        let state = State {
-            time: first.time + time,
-            positions: moved.map(|(&r, &v)| space.wrap(r + v * time)).collect(),
-            velocities: first.velocities.clone(),
+impl<const D: usize> Comparison<'_, D> {
+    fn judge(&self, learned: Learned<'_>, frames: usize) -> Result<HeldOut> {
+        let truth = &self.window.truth;
+        let first = &truth.states[0];
+        let time = |k: usize| truth.states[k].time - first.time;
+        let mut held = HeldOut {
+            of: self.window.of.clone(),
+            start: first.time,
+            times: (1..=frames).map(time).collect(),
+            field: Vec::new(),
+            ballistic: (1..=frames)
+                .map(|k| self.field_error(&ballistic(first, time(k)), k))
+                .collect(),
+            kl: Vec::new(),
+            diverged: None,
         };
+        let mut flow = Flow::<D>::build(learned.scene, first, None, None)?;
+        flow.set_learned(learned.columns, learned.values)?;
+        match self.follow(&mut flow, (learned.scene.observed_every(), frames), &mut held) {
+            Err(error @ Error::Diverged { .. }) => held.diverged = Some(error.to_string()),
+            other => other?,
+        }
+        Ok(held)
+    }
+
+    /// Runs a flow over the frames and keeps its errors.
+    fn follow(
+        &self,
+        flow: &mut Flow<D>,
+        (every, frames): (u64, usize),
+        held: &mut HeldOut,
+    ) -> Result<()> {
+        let truth = &self.window.truth;
+        flow.start()?;
+        for k in 1..=frames {
+            (0..every).try_for_each(|_| flow.step())?;
+            let state = flow.state();
+            held.field.push(self.field_error(&state, k));
+            let pairs = state.velocities.iter().zip(&truth.states[0].velocities);
+            let increments: Vec<_> = pairs.map(|(&now, &start)| now - start).collect();
+            let density = IncrementDensities::new(&truth.increments(k), self.nodes)?;
+            held.kl.push(density.loss(&increments)?.value);
+        }
+        Ok(())
+    }
+
+    /// `⟨|V − V̂|²⟩/⟨|V̂|²⟩` of a state in a frame.
+    fn field_error(&self, state: &State<D>, frame: usize) -> f64 {
+        let truth = &self.window.truth;
+        let known = truth.fields.get(frame);
+        let expected = known.cloned().unwrap_or_else(|| self.field(&truth.states[frame]));
+        let field = self.field(state);
+        let apart = field.iter().zip(&expected).map(|(&v, &truth)| (v - truth).norm_squared());
+        apart.sum::<f64>() / expected.iter().map(|v| v.norm_squared()).sum::<f64>()
+    }
+
+    fn field(&self, state: &State<D>) -> Vec<Vector<f64, D>> {
+        let fluid = &self.metric.fluid;
+        let space = self.metric.space();
+        let kernel = (fluid.kernel, fluid.smoothing_length);
         let densities = summed_densities(kernel, space, &state.positions);
-        let field = velocity_field(scene, &seen.mesh, &state, &densities);
-        let apart = field.iter().zip(&frame.field).map(|(&v, &truth)| (v - truth).norm_squared());
-        apart.sum::<f64>() / frame.field.iter().map(|v| v.norm_squared()).sum::<f64>()
-    };
-    seen.frames.iter().map(error).collect()
+        velocity_field(self.metric, &self.mesh, state, &densities)
+    }
+}
+
+/// Particles that keep their first velocity.
+fn ballistic<const D: usize>(first: &State<D>, time: f64) -> State<D> {
+    let moved = first.positions.iter().zip(&first.velocities).map(|(&r, &v)| r + v * time);
+    State {
+        time: first.time + time,
+        positions: moved.collect(),
+        velocities: first.velocities.clone(),
+    }
 }
 
 #[cfg(test)]
@@ -179,10 +201,9 @@ mod tests {
             diverged: None,
         };
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-15, "{a} {b}");
-        near(held.follows(&[0.05, 0.15, 0.2]), 1.5);
-        near(held.follows(&[0.2, 0.3, 0.4]), 0.5);
-        near(held.follows(&[0.01, 0.02, 0.03]), 3.0);
-        near(held.follows(&[0.01, 0.02]), 2.0);
-        near(held.follows(&[]), 0.0);
+        near(held.follows_until(&[0.05, 0.15, 0.2]).unwrap_or(f64::NAN), 1.5);
+        near(held.follows_until(&[0.2, 0.3, 0.4]).unwrap_or(f64::NAN), 0.5);
+        assert_eq!(held.follows_until(&[0.01, 0.02, 0.03]), None);
+        assert_eq!(held.follows_until(&[]), None);
     }
 }

@@ -62,7 +62,7 @@ pub struct TrainingReport {
 }
 
 /// Parts of a loss.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Losses {
     /// Of trajectories.
     pub trajectory: f64,
@@ -70,6 +70,9 @@ pub struct Losses {
     pub field: f64,
     /// Of velocity increments.
     pub kl: f64,
+    /// Of other statistics, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub statistics: BTreeMap<String, f64>,
 }
 
 /// Wall-clock times in seconds.

@@ -215,15 +215,17 @@ impl<const D: usize> Curriculum<'_, D> {
         (scene.truth, scene.law) = (other.truth.clone(), other.law.clone());
         scene.seed = other.seed;
         if scene.truth.is_none() {
-            (scene.fluid, scene.forcing) = (other.fluid.clone(), other.forcing);
+            (scene.fluid, scene.forcing) = (other.fluid.clone(), other.forcing.clone());
             (scene.initial, scene.spin_up) = (other.initial.clone(), other.spin_up.clone());
         }
-        let (expected, found) = (self.scene.space(), scene.space());
-        if expected != found || scene.dimension != self.scene.dimension {
+        let words =
+            |scene: &Scene| format!("{} dimensions, box {}", scene.dimension, scene.box_words());
+        let (expected, found) = (words(self.scene), words(&other));
+        if expected != found {
             return Err(Error::input(
                 format!("learn.lessons: {further}"),
-                "the box of this scene",
-                "another box",
+                format!("the box of this scene, {expected}"),
+                found,
                 "give both the same fluid.box_length or fluid.sides",
             ));
         }

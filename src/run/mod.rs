@@ -2,6 +2,7 @@
 
 mod arrays;
 mod dns;
+mod dns_study;
 pub mod door;
 mod evaluated;
 mod fitting;
@@ -20,6 +21,7 @@ mod tracks;
 mod training;
 
 pub use dns::{DnsRequirements, dns_info, run_dns};
+pub use dns_study::{DnsStudy, LAWS, StudiedLaw, Truths};
 pub use door::{Admitted, Given, admit, admit_state};
 pub use evaluated::{EvaluationFiles, write, write_evaluation};
 pub use guard::{Guard, command_of};

@@ -144,10 +144,10 @@ pub struct Reproduction {
 
 /// The record of a stage that is done: its inputs and its result.
 #[derive(Debug, Serialize, Deserialize)]
-struct Done<T> {
+pub(super) struct Done<T> {
     /// Everything that would change the result.
-    of: String,
-    result: T,
+    pub(super) of: String,
+    pub(super) result: T,
 }
 
 /// The result of a training.
@@ -361,7 +361,7 @@ impl Reproduction {
 }
 
 /// What changes a result: the scenes, and the version of the program.
-fn of_this_version(scenes: &str) -> String {
+pub(super) fn of_this_version(scenes: &str) -> String {
     format!("whirls {}\n{scenes}", env!("CARGO_PKG_VERSION"))
 }
 
@@ -376,7 +376,7 @@ fn iteration_cost(model: &str, second_order: bool) -> f64 {
     }
 }
 
-fn remember<T: Serialize>(file: &Path, done: Done<T>) -> Result<()> {
+pub(super) fn remember<T: Serialize>(file: &Path, done: Done<T>) -> Result<()> {
     let text = serde_json::to_string(&done).map_err(|error| {
         Error::input(file.display(), "numbers that JSON can hold", error, "report it as a bug")
     })?;
@@ -384,7 +384,7 @@ fn remember<T: Serialize>(file: &Path, done: Done<T>) -> Result<()> {
 }
 
 /// The result of a stage, if it was done with the same inputs.
-fn remembered<T: for<'a> Deserialize<'a>>(file: &Path, of: &str) -> Option<T> {
+pub(super) fn remembered<T: for<'a> Deserialize<'a>>(file: &Path, of: &str) -> Option<T> {
     let text = std::fs::read_to_string(file).ok()?;
     let done: Done<T> = serde_json::from_str(&text).ok()?;
     (done.of == of).then_some(done.result)

@@ -267,8 +267,12 @@ impl<const D: usize> Training<'_, D> {
         outcome: &Outcome,
         (recorder, watch): (&mut Recorder, &mut dyn FnMut(Progress<'_>)),
     ) -> Result<Vec<HeldOut>> {
-        let learned = (learner.columns(), &outcome.evaluation.parameters[..]);
-        let found = held_out::judge(self.scene, self.lesson, learned, &mut || {
+        let learned = held_out::Learned {
+            scene: self.scene,
+            columns: learner.columns(),
+            values: &outcome.evaluation.parameters,
+        };
+        let found = held_out::judge(learned, self.scene, &self.lesson.held_out, &mut || {
             watch(Progress::HeldOut);
         })?;
         let end = self.lesson.truth.states.last().map_or(0.0, |state| state.time);
@@ -328,6 +332,11 @@ impl<const D: usize> Training<'_, D> {
                 trajectory: evaluation.trajectory,
                 field: evaluation.field,
                 kl: evaluation.kl,
+                statistics: evaluation
+                    .statistics
+                    .iter()
+                    .map(|(k, x)| ((*k).to_owned(), *x))
+                    .collect(),
             },
             knowledge: outcome.knowledge.clone(),
             kl_floor: None,

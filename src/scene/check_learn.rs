@@ -143,12 +143,13 @@ fn listed(parameters: &[Parameter]) -> String {
 pub(super) fn loss_requirements(learn: &Learn, most_a_side: usize) -> Vec<Requirement> {
     let Weights { trajectory, field, kl } = learn.loss;
     let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
+    let statistics = learn.statistics.named().map(|(_, weight)| weight);
+    let weights: Vec<f64> = [trajectory, field, kl].into_iter().chain(statistics).collect();
     vec![
         (
-            [trajectory, field, kl].iter().all(|&weight| weight >= 0.0)
-                && positive(trajectory + field + kl),
+            weights.iter().all(|&weight| weight >= 0.0) && positive(weights.iter().sum()),
             "learn.loss",
-            "weights of zero or more, one of them positive",
+            "weights of zero or more in it and in learn.statistics, one of them positive",
             format!("trajectory {trajectory}, field {field}, kl {kl}"),
         ),
         (

@@ -1,6 +1,6 @@
 //! The learning part of a scene.
 
-use super::Lessons;
+use super::{Lessons, StatisticWeights};
 use crate::models::ModelChoice;
 use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient, Storage};
@@ -46,6 +46,9 @@ pub struct Learn {
     /// Which velocity increments the statistical loss compares, and how.
     #[serde(default)]
     pub increments: Increments,
+    /// Weights of the losses of statistics.
+    #[serde(default, skip_serializing_if = "StatisticWeights::is_none")]
+    pub statistics: StatisticWeights,
     /// The mode of differentiation; all modes agree to round-off.
     #[serde(default)]
     pub gradient: Gradient,
@@ -179,9 +182,28 @@ impl Learn {
 
     /// Weight of each frame that counts in the statistical loss, at a time `interval` between frames.
     pub fn statistical_weight(&self, interval: f64) -> f64 {
+        self.loss.kl * self.share_of_a_frame(interval)
+    }
+
+    /// Share of each frame that counts in a loss of weight one.
+    fn share_of_a_frame(&self, interval: f64) -> f64 {
         match self.increments.times {
-            Times::Last => self.loss.kl,
-            Times::All => self.loss.kl * interval,
+            Times::Last => 1.0,
+            Times::All => interval,
+        }
+    }
+
+    /// Weights of each frame that counts in the losses of statistics, at a time `interval` between frames.
+    pub fn weights_of_statistics(&self, interval: f64) -> StatisticWeights {
+        let share = self.share_of_a_frame(interval);
+        let StatisticWeights { energy, flatness, dispersion, spectrum, structure } =
+            self.statistics;
+        StatisticWeights {
+            energy: energy * share,
+            flatness: flatness * share,
+            dispersion: dispersion * share,
+            spectrum: spectrum * share,
+            structure: structure * share,
         }
     }
 }

@@ -15,6 +15,7 @@ mod law;
 mod learn;
 mod lessons;
 mod read;
+mod statistics;
 mod suggest;
 
 pub use accuracy::{CalibratedStep, Speed};
@@ -25,6 +26,7 @@ pub use law::{Constants, Law, Provenance};
 pub use learn::{FieldTarget, Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use lessons::{FurtherTruth, Lessons};
 pub use read::{AnyScene, SHIPPED, SHIPPED_DNS, Shipped};
+pub use statistics::StatisticWeights;
 
 use crate::error::{Error, Result};
 use crate::flow::initial::Field;

@@ -14,7 +14,7 @@ use crate::vector::Vector;
 #[derive(Clone, Copy, Debug)]
 pub struct FieldLoss;
 
-fn points<'a, const D: usize>(
+pub(super) fn points<'a, const D: usize>(
     seen: &Seen<'a, D>,
     smoothing: &'a Smoothing<AnyKernel, D>,
 ) -> Points<'a, AnyKernel, D> {
@@ -33,7 +33,7 @@ fn weight<const D: usize>(seen: &Seen<'_, D>) -> f64 {
 }
 
 /// `∂V/∂p` on the mesh for each parameter `p` of the kernel, with its place in the flat vector.
-fn by_kernel<const D: usize>(seen: &Seen<'_, D>) -> Vec<(usize, Vec<Vector<f64, D>>)> {
+pub(super) fn by_kernel<const D: usize>(seen: &Seen<'_, D>) -> Vec<(usize, Vec<Vector<f64, D>>)> {
     let Smoothing { h, .. } = seen.medium.smoothing;
     let kernel = seen.medium.smoothing.kernel();
     let derivative = |parameter: usize| {

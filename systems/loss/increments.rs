@@ -30,11 +30,16 @@ impl<const D: usize> FrameLoss<D> for StatisticalLoss {
     fn accumulate(&self, seen: &Seen<'_, D>, blocks: &[SensitivityBlock<D>], sum: &mut LossPart) {
         let (LossPart::Gradient(sum), Some(truth)) = (sum, truth(seen)) else { return };
         let particles = (seen.inputs.particles(), seen.neighbours.order().slots());
-        sum.add_sum(&statistical_loss(particles, &packed(blocks), &seen.observations.start, truth));
+        sum.add_sum(&statistical_loss(
+            particles,
+            &packed(blocks),
+            &seen.observations.first.velocities,
+            truth,
+        ));
     }
 
     fn adjoint(&self, seen: &Seen<'_, D>) -> Option<StateAdjoint<D>> {
         let particles = (seen.inputs.particles(), seen.neighbours.order().slots());
-        Some(statistical_adjoint(particles, &seen.observations.start, truth(seen)?))
+        Some(statistical_adjoint(particles, &seen.observations.first.velocities, truth(seen)?))
     }
 }

@@ -4,6 +4,7 @@
 
 mod field;
 mod increments;
+pub mod statistics;
 mod trajectory;
 
 pub use field::FieldLoss;
@@ -18,10 +19,11 @@ use super::tape::{Tape, add_loss};
 use super::term::{Stage, Term};
 use super::verlet::Clock;
 use super::{Needs, Occasion, Phase};
+use crate::flow::State;
 use crate::losses::{GradientSum, IncrementDensities, Mesh, SquareSum, StateAdjoint};
 use crate::models::Medium;
 use crate::packed::PackedSensitivity;
-use crate::scene::Times;
+use crate::scene::{StatisticWeights, Times};
 use crate::vector::Vector;
 use bevy_ecs::prelude::*;
 use std::fmt::Debug;
@@ -40,6 +42,8 @@ pub struct Observation<const D: usize> {
     pub field: Vec<Vector<f64, D>>,
     /// Densities of `v̂ − u(0)`; none without a statistical loss.
     pub increments: Option<IncrementDensities<D>>,
+    /// Values of each statistic that has a weight, in the order of [`StatisticWeights::named`].
+    pub statistics: Vec<Vec<f64>>,
 }
 
 /// The observations that a World is compared with.
@@ -59,8 +63,10 @@ pub struct Observations<const D: usize> {
     pub kl: f64,
     /// Which frames count in the statistical loss.
     pub times: Times,
-    /// `u(0)` by particle: the velocities that the prediction starts with.
-    pub start: Arc<Vec<Vector<f64, D>>>,
+    /// Weights of the losses of statistics, in each frame that counts.
+    pub statistics: StatisticWeights,
+    /// The state that the prediction starts with; its positions where a loss compares with them.
+    pub first: Arc<State<D>>,
 }
 
 impl<const D: usize> Observations<D> {
@@ -127,7 +133,8 @@ pub fn losses<const D: usize>(observations: &Observations<D>) -> Vec<Box<dyn Fra
         (observations.field, Box::new(FieldLoss)),
         (observations.kl, Box::new(StatisticalLoss)),
     ];
-    all.into_iter().filter(|(weight, _)| *weight > 0.0).map(|(_, loss)| loss).collect()
+    let all = all.into_iter().chain(statistics::losses(observations));
+    all.filter(|(weight, _)| *weight > 0.0).map(|(_, loss)| loss).collect()
 }
 
 /// The losses of a World.

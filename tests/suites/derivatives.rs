@@ -19,5 +19,7 @@ mod long_horizons;
 mod rollout;
 #[path = "../statistical_loss.rs"]
 mod statistical_loss;
+#[path = "../statistics_losses.rs"]
+mod statistics_losses;
 #[path = "../terms.rs"]
 mod terms;

@@ -1,6 +1,7 @@
 //! The final report of `train`, in words.
 
 use crate::commands::common::say;
+use crate::evaluation::Spread;
 use crate::parameters::Parameter;
 use crate::run::{HeldOut, Losses, TrainingReport};
 
@@ -21,8 +22,9 @@ pub(crate) fn describe(report: &TrainingReport) {
         report.gradient,
         report.seconds.train
     ));
-    let Losses { trajectory, field, kl } = report.losses;
-    let parts = [("trajectory", trajectory), ("field", field), ("kl", kl)].into_iter();
+    let Losses { trajectory, field, kl, statistics } = &report.losses;
+    let named = [("trajectory", *trajectory), ("field", *field), ("kl", *kl)].into_iter();
+    let parts = named.chain(statistics.iter().map(|(name, loss)| (name.as_str(), *loss)));
     let mut parts: Vec<_> = parts.filter(|(_, loss)| loss.abs() > 0.0).collect();
     parts.extend(report.kl_floor.map(|floor| ("sampling floor of kl", floor)));
     if parts.len() > 1 {
@@ -57,14 +59,14 @@ pub(crate) fn describe(report: &TrainingReport) {
 fn describe_held_out(held_out: &[HeldOut]) {
     let Some(first) = held_out.first() else { return };
     let end = first.times.last().copied().unwrap_or_default();
-    let middle = |of: &dyn Fn(&HeldOut) -> f64| {
-        let mut all: Vec<f64> = held_out.iter().map(of).filter(|x| x.is_finite()).collect();
-        all.sort_by(f64::total_cmp);
-        let median = all.get(all.len() / 2).copied().unwrap_or(f64::NAN);
-        (median, all.first().copied().unwrap_or(f64::NAN), all.last().copied().unwrap_or(f64::NAN))
+    let last = |errors: &[f64]| errors.last().copied().unwrap_or(f64::NAN);
+    let holding = held_out.iter().filter_map(HeldOut::last_field);
+    let Spread { median: error, low, high } = Spread::of(holding);
+    let ballistic = Spread::of(held_out.iter().map(|held| last(&held.ballistic))).median;
+    let until = |of: &dyn Fn(&HeldOut) -> Option<f64>| {
+        let median = Spread::of(held_out.iter().map(|held| of(held).unwrap_or(f64::INFINITY))).median;
+        if median.is_finite() { format!("{median:.3}") } else { format!("all {end:.3}") }
     };
-    let (error, low, high) = middle(&|held| held.last_field().unwrap_or(f64::NAN));
-    let ballistic = middle(&|held| held.ballistic.last().copied().unwrap_or(f64::NAN)).0;
     if error.is_finite() {
         say(format!(
             "  held out, {} lessons: relative field error {error:.4} ({low:.4} to {high:.4}) after {end:.3}; ballistic \
@@ -72,9 +74,9 @@ fn describe_held_out(held_out: &[HeldOut]) {
             held_out.len(),
         ));
         say(format!(
-            "  it stays below a tenth for {:.3}; ballistic {:.3}",
-            middle(&|held| held.follows(&held.field)).0,
-            middle(&|held| held.follows(&held.ballistic)).0
+            "  it stays below a tenth for {}; ballistic {}",
+            until(&|held| held.follows_until(&held.field)),
+            until(&|held| held.follows_until(&held.ballistic))
         ));
     }
     let diverged = held_out.iter().filter(|held| held.diverged.is_some());
