@@ -45,6 +45,8 @@ pub mod kernel;
 pub mod learn;
 #[doc(hidden)]
 pub mod losses;
+#[cfg(feature = "laboratory")]
+mod memory;
 pub mod models;
 pub mod neighbours;
 #[doc(hidden)]
@@ -60,13 +62,14 @@ pub mod packed;
 pub mod pairs;
 pub mod parameters;
 mod pool;
+#[doc(hidden)]
+mod random;
 #[cfg(feature = "recording")]
 #[cfg_attr(
     not(feature = "laboratory"),
     allow(dead_code, unused_imports, reason = "the commands use it")
 )]
 pub mod recording;
-#[doc(hidden)]
 pub mod reduce;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]

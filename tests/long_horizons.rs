@@ -8,8 +8,9 @@ use crate::place;
 use place::Place;
 use serde_json::Value;
 use whirls::learn::Learner;
+use whirls::learn::{USEFUL, sensitivity_growth};
 use whirls::recording::Level;
-use whirls::sensitivity::{Gradient, USEFUL, sensitivity_growth};
+use whirls::sensitivity::Gradient;
 use whirls::truth::Truth;
 use whirls::{Error, Scene};
 

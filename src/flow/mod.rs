@@ -10,10 +10,11 @@ mod measure;
 mod state;
 mod tangent;
 
+pub use crate::random::{Stream, stream};
 pub use adjoint::Snapshot;
 pub use held::MemoryReport;
 pub(crate) use measure::Rows;
-pub use state::{State, Stream, stream};
+pub use state::State;
 pub use tangent::{Direction, FrameTangent};
 
 use crate::error::{Error, Result};

@@ -18,7 +18,7 @@
 //! its own place in the generator's stream. Steps can therefore be visited in any order, as an
 //! adjoint with checkpoints does, with the same bits.
 
-use crate::flow::{Stream, stream};
+use crate::random::{Stream, stream};
 use crate::space::Space;
 use crate::waves::{Wave, Waves, direction, wave_vectors};
 use rand::RngExt;

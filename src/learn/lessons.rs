@@ -6,7 +6,8 @@
 use super::prediction::{Prediction, Setting};
 use super::{Evaluation, Learner, Squares};
 use crate::error::Result;
-use crate::flow::{Stream, in_pool, stream};
+use crate::flow::in_pool;
+use crate::random::{Stream, stream};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 

@@ -2,8 +2,10 @@
 //!
 //! The algorithm is that of Woodward et al., arXiv:2110.13311: see `docs/equations.md`.
 
+mod check;
 mod diagnosis;
 mod first_order;
+mod growth;
 mod knowledge;
 mod least_squares;
 mod lessons;
@@ -12,13 +14,16 @@ mod search;
 mod start;
 mod words;
 
+pub use check::{ComparedSlope, compare_along_gradient, compare_component};
+pub use growth::{Growth, USEFUL, sensitivity_growth};
 pub use knowledge::{Knowledge, Stop};
 
 use crate::error::{Error, Result};
-use crate::flow::{Flow, State, Stream, stream};
+use crate::flow::{Flow, State};
 use crate::models::Medium;
 use crate::optimisers::Coordinates;
 use crate::parameters::{Domain, Parameter, ParameterSpec};
+use crate::random::{Stream, stream};
 use crate::scene::{Learn, Optimiser, Scene};
 use crate::sensitivity::{Coupling, Gradient};
 use crate::space::Space;

@@ -8,12 +8,12 @@
 //! | `/truth/flow` | energy, dissipation, `u'`, `λ`, `Re_λ`, `η`, `k_max η`, `L_int`, eddy time |
 //! | `/truth/spectrum` | `E(k)`, named `k=1`, `k=2`, …; the sum over shells is the energy |
 
-use super::memory::AvailableMemory;
 use crate::dns::{Layout, Solver, Statistics};
 use crate::error::{Error, Result};
 use crate::flow::in_pool;
 use crate::kernel::Transform;
 use crate::losses::Mesh;
+use crate::memory::AvailableMemory;
 use crate::recording::{Cloud, Column, Flow, Frame, Level, Recorder, RunInfo, Values};
 use crate::scene::DnsScene;
 use crate::scene::dns::Filtered;

@@ -20,6 +20,7 @@ mod requirements;
 mod tracks;
 mod training;
 
+pub use crate::memory::AvailableMemory;
 pub use dns::{DnsRequirements, dns_info, run_dns};
 pub use dns_study::{DnsStudy, LAWS, StudiedLaw, Truths};
 pub use door::{Admitted, Given, admit, admit_state};
@@ -30,9 +31,7 @@ pub use import::{Import, Imported, Origins};
 pub use law::{law_of_recording, open_law};
 pub use learned::{Losses, Seconds, TrainingReport};
 pub use lesson::{Lesson, Window, calibrate_training};
-pub use memory::{
-    AvailableMemory, simulation_bytes, simulation_must_fit, training_bytes, training_must_fit,
-};
+pub use memory::{simulation_bytes, simulation_must_fit, training_bytes, training_must_fit};
 pub use origin::{Origin, must_be_trained};
 pub use priced::{PriceFiles, write_prices};
 pub use reproduction::{MODELS, Reproduction, Stage, Study};

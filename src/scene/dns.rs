@@ -28,7 +28,7 @@ pub use field::{Development, Dns, FieldForcing, FieldStart};
 use super::{KernelChoice, defaults};
 use crate::dns::Solver;
 use crate::error::Result;
-use crate::flow::{Stream, stream};
+use crate::random::{Stream, stream};
 use crate::space::Space;
 use crate::vector::Vector;
 use rand::RngExt;

@@ -8,16 +8,16 @@
 //! Equation numbers are those of Woodward et al., arXiv:2110.13311 ("the paper"): see `docs/equations.md`.
 
 mod adjoint;
-mod check;
-mod growth;
 mod rollout;
 
 pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
-pub use check::{ComparedSlope, compare_along_gradient, compare_component};
-pub use growth::{Growth, SHORTEN, USEFUL, sensitivity_growth};
 pub use rollout::{Frame, RecordedRollout, RolloutGradient, RolloutPlan};
 
 use serde::{Deserialize, Serialize};
+
+/// The remedy for a horizon that is too long.
+pub const SHORTEN: &str = "observe fewer frames (learn.frames), let the window grow (learn.windows), or \
+                           compare smoother fields (learn.mesh, fluid.smoothing_length)";
 
 /// The mode of differentiation.
 ///

@@ -6,7 +6,7 @@ use super::survey::{Plan, Survey, instant, usable};
 use super::{Derive, Row, Tracks, Watch, derivative, derive, noise_of, open};
 use crate::error::{Error, Result};
 use crate::interrupt;
-use crate::run::AvailableMemory;
+use crate::memory::AvailableMemory;
 use crate::space::Axis;
 
 /// Tracks of equal length, and what is known of them.

@@ -4,13 +4,13 @@ use crate::commands::common::{say, say_json, warn};
 use crate::commands::flow::progress;
 use serde::Serialize;
 use std::time::Instant;
-use crate::learn::{Evaluation, Learner};
+use crate::learn::{
+    ComparedSlope, Evaluation, Growth, Learner, USEFUL, compare_along_gradient, compare_component,
+    sensitivity_growth,
+};
 use crate::run::Lesson;
 use crate::scene::Optimiser;
-use crate::sensitivity::{
-    ComparedSlope, Coupling, Gradient, Growth, SHORTEN, USEFUL, compare_along_gradient,
-    compare_component, sensitivity_growth,
-};
+use crate::sensitivity::{Coupling, Gradient, SHORTEN};
 use crate::{Error, Result, Scene};
 
 /// Number of parameters, maximum, up to which each has a line; if there are more, only the

@@ -1,7 +1,7 @@
 //! Random solenoidal velocities with a given energy spectrum.
 
 use super::VelocityField;
-use crate::flow::{Stream, stream};
+use crate::random::{Stream, stream};
 use crate::scene::{Requirement, Scene};
 use crate::space::Space;
 use crate::vector::Vector;

@@ -1,8 +1,9 @@
 //! Tests of every velocity field, and of each one separately.
 
 use super::*;
-use crate::flow::{State, Stream, stream};
+use crate::flow::State;
 use crate::losses::Mesh;
+use crate::random::{Stream, stream};
 use crate::statistics::energy_spectrum;
 use rand::RngExt;
 use rand_distr::StandardNormal;

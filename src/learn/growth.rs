@@ -5,17 +5,13 @@
 //! which it predicts the loss shrinks, until no step of a search or of a difference is small
 //! enough.
 
+use super::Learner;
 use crate::error::{Error, Result};
-use crate::learn::Learner;
 use crate::statistics::eddy_time;
 
 /// Relative difference between the best central difference and the gradient, up to which a search
 /// can follow the gradient.
 pub const USEFUL: f64 = 1e-3;
-
-/// The remedy for a horizon that is too long.
-pub const SHORTEN: &str = "observe fewer frames (learn.frames), let the window grow (learn.windows), or \
-                           compare smoother fields (learn.mesh, fluid.smoothing_length)";
 
 /// The growth of `S` over a run.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Compares a gradient with central differences: slow, but independent of all derivative code.
 
+use super::{Evaluation, Learner};
 use crate::error::Result;
-use crate::learn::{Evaluation, Learner};
 
 /// The slope of a loss along one direction, by both methods.
 #[derive(Clone, Copy, Debug)]
