@@ -194,14 +194,27 @@ fn a_rotation_shows_a_law_that_prefers_an_axis() {
 }
 
 #[test]
-fn a_model_of_another_kind_of_particles_is_refused() {
+fn a_law_is_evaluated_at_another_resolution_and_step_where_the_true_one_makes_no_error() {
+    let learned = small("physics-3d", &[]);
+    let other = ["fluid.particles_per_side=10", "fluid.smoothing_length=0.55", "time.dt=0.01"];
+    let truth = small("physics-3d", &other);
+    let found = evaluated(&truth, vec![candidate(learned.clone(), true_values(&learned))]);
+    let summary = found.summary(0);
+    assert!(summary.field_over_time < 1e-24 && summary.diverged.is_none(), "{summary:?}");
+    assert_eq!(found.courses[1].1.states[0].positions.len(), 1000);
+    let symmetry = found.trials_of(0).next().unwrap().symmetry;
+    assert!(symmetry.momentum < 1e-12 && symmetry.rotation < 1e-20, "{symmetry:?}");
+}
+
+#[test]
+fn a_model_of_another_kernel_is_refused() {
     let scene = small("physics-3d", &[]);
-    let other = small("physics-3d", &["fluid.smoothing_length=0.7"]);
+    let other = small("physics-3d", &["fluid.kernel=wendland-c2"]);
     let stranger = candidate(other.clone(), true_values(&other));
     let refused = evaluate((&scene, Source::<3>::Scene), vec![stranger], plan(), &mut || {});
     let error = refused.unwrap_err();
     assert_eq!(error.exit_code(), 2);
-    assert!(error.to_string().contains("h 0.67"), "{error}");
+    assert!(error.to_string().contains("kernel wendland-c2"), "{error}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::evaluation::{Candidate, Evaluation, Plan, Source, evaluate};
 use crate::output::Output;
 use crate::recording::Recording;
 use crate::run::{
-    EvaluationFiles, Guard, Origin, admit, must_be_trained, simulation_must_fit, write_evaluation,
+    EvaluationFiles, Guard, Origin, admit, law_of_recording, must_be_trained, simulation_must_fit, write_evaluation,
 };
 use crate::trade::calibrate_step;
 use crate::{Error, Flow, Result, Scene, interrupt};
@@ -163,6 +163,7 @@ fn run<const D: usize>(
     for path in &arguments.learned {
         must_be_trained(path, &Recording::open(path)?)?;
         candidates.push(Candidate::open::<D>(path)?);
+        law_of_recording(path)?.remarks(scene).iter().for_each(|text| warn(text));
     }
     Candidate::name_apart(&mut candidates, &arguments.learned);
     let trained = candidates[0].learn()?.frames;

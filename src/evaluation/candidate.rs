@@ -5,7 +5,7 @@ use crate::flow::{Flow, State};
 use crate::learn::columns;
 use crate::parameters::Parameter;
 use crate::recording::{Recording, TrainStep};
-use crate::scene::{Forcing, Learn, Scene};
+use crate::scene::{Fluid, Forcing, Learn, Scene, Time};
 use crate::systems::loss::Observations;
 use std::path::Path;
 
@@ -82,27 +82,46 @@ impl Candidate {
         self.scene.learning()
     }
 
-    /// Refuses a truth that differs in box, kernel or steps.
+    /// The model in the box, at the resolution and with the steps of a truth. To what a law is tied in another scene is
+    /// said by [`crate::scene::Law::remarks`].
     ///
     /// # Errors
-    /// [`Error::Input`], which names the difference.
-    pub fn must_fit(&self, truth: &Scene) -> Result<()> {
+    /// [`Error::Input`] for a truth in another dimension, or of another kernel: fields are compared in one.
+    pub fn moved_to(self, truth: &Scene) -> Result<Self> {
         let kind = |scene: &Scene| {
-            let (fluid, step) = (&scene.fluid, scene.time.step);
-            let (edge, h, kernel) = (scene.box_words(), fluid.smoothing_length, fluid.kernel);
-            let (dt, every) = (scene.dt(), scene.observed_every());
-            format!(
-                "{} dimensions, box {edge}, h {h}, kernel {kernel:?}, dt {dt}, step {step:?}, \
-                 observed every {every}",
-                scene.dimension
-            )
+            format!("{} dimensions, kernel {}", scene.dimension, scene.fluid.kernel.name())
         };
         let (expected, found) = (kind(truth), kind(&self.scene));
-        if expected == found {
-            return Ok(());
+        if expected != found {
+            let remedy = "evaluate it against a truth of the kind that it was learned from";
+            return Err(Error::input(
+                format!("learned model {}", self.name),
+                expected,
+                found,
+                remedy,
+            ));
         }
-        let remedy = "evaluate it against a truth of the kind that it was learned from";
-        Err(Error::input(format!("learned model {}", self.name), expected, found, remedy))
+        let own = &self.scene.fluid;
+        let fluid = Fluid {
+            c: own.c,
+            alpha: own.alpha,
+            beta: own.beta,
+            gamma: own.gamma,
+            p0: own.p0,
+            kernel: own.kernel,
+            viscosity: own.viscosity,
+            ..truth.fluid.clone()
+        };
+        let learn = Learn { every: truth.observed_every(), ..self.learn()?.clone() };
+        let scene = Scene {
+            name: self.scene.name.clone(),
+            fluid,
+            time: Time { dt: Some(truth.dt()), ..truth.time.clone() },
+            limits: truth.limits,
+            learn: Some(learn),
+            ..self.scene
+        };
+        Ok(Self { scene, ..self })
     }
 
     /// The model's flow from a state, with the forcing of `truth`. The forcing's strength is not

@@ -184,7 +184,8 @@ pub fn evaluate<const D: usize>(
     plan: Plan,
     tick: &mut dyn FnMut(),
 ) -> Result<Evaluation<D>> {
-    candidates.iter().try_for_each(|candidate| candidate.must_fit(scene))?;
+    let candidates = candidates.into_iter().map(|candidate| candidate.moved_to(scene));
+    let candidates = candidates.collect::<Result<Vec<_>>>()?;
     if plan.marks.steps < plan.horizons[0] as u64 {
         let expected = format!("at least the {} steps of the training", plan.horizons[0]);
         let remedy = "follow the flows longer";
