@@ -381,7 +381,7 @@ fn any_ratio_of_smoothing_length_to_spacing_from_0_7_to_3_runs<const D: usize>()
 }
 
 /// Every model with a network.
-const NETWORKS: [&str; 8] = [
+const NETWORKS: [&str; 9] = [
     "{kind='eos-nn',height=4}",
     "{kind='grad-p',height=3}",
     "{kind='grad-p',height=3,antisymmetric=true}",
@@ -390,6 +390,7 @@ const NETWORKS: [&str; 8] = [
     "{kind='nn-sum',height=3}",
     "{kind='nn-sum',height=3,window=false}",
     "{kind='node',height=3,nearest=9}",
+    "{kind='exchange',height=3}",
 ];
 
 fn networks_with_huge_weights_run_or_are_refused_with_a_reason<const D: usize>() {

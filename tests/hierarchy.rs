@@ -23,7 +23,7 @@ in_2d_and_3d!(
 );
 
 /// Every model, in both of its forms if it has two, with the momentum that it conserves.
-const MODELS: [(&str, bool); 11] = [
+const MODELS: [(&str, bool); 13] = [
     ("{kind='physics'}", true),
     ("{kind='eos-nn',height=4}", true),
     ("{kind='grad-p',height=3}", false),
@@ -35,6 +35,8 @@ const MODELS: [(&str, bool); 11] = [
     ("{kind='nn-sum',height=3,window=false}", false),
     ("{kind='node',height=3,nearest=9}", false),
     ("{kind='node',height=3,nearest=30,window=false}", false),
+    ("{kind='exchange',height=3}", true),
+    ("{kind='exchange',height=3,transverse=false}", true),
 ];
 
 const LOSSES: [(&str, &str); 4] = [
@@ -334,7 +336,7 @@ fn central_antisymmetric_models_exert_no_torque_and_the_others_say_how_much() {
         }
         let share = torque.length() / size;
         println!("{model}: the torque of all pairs is {share:.1e} of Σ |r × a|");
-        let central = !model.contains("nn-sum");
+        let central = !(model.contains("nn-sum") || model == "{kind='exchange',height=3}");
         if keeps && central {
             assert!(share < 1e-13, "{model}: {share:e}");
         } else {
@@ -380,6 +382,35 @@ fn the_papers_sizes_of_networks_are_the_defaults() {
     // for rot-inv and nn-sum, because their published code has five and twelve inputs.
     let found = ["physics", "eos-nn", "grad-p", "rot-inv", "nn-sum", "node"].map(weights);
     assert_eq!(found, [0, 141, 56, 61, 83, 653]);
+}
+
+#[test]
+fn an_exchange_starts_at_the_physics_and_keeps_momentum_with_any_weights() {
+    let scene = |model: &str| scene::<3>(model, "kick-drift-kick", LOSSES[1].1);
+    let (plain, learned) = (scene("{kind='physics'}"), scene("{kind='exchange',height=6}"));
+    let start = |scene: &Scene| {
+        let mut flow = Flow::<3>::build(scene, &common::shaken(scene), None, None).unwrap();
+        flow.set_weights(&flow.draw_weights(1));
+        flow.start().unwrap();
+        flow
+    };
+    let (mut physics, mut exchange) = (start(&plain), start(&learned));
+    assert!(exchange.weights().iter().any(|weight| *weight != 0.0));
+    let bits = |flow: &mut Flow<3>| {
+        flow.accelerations().iter().flat_map(|a| a.0).map(f64::to_bits).collect::<Vec<_>>()
+    };
+    assert_eq!(bits(&mut physics), bits(&mut exchange));
+    let weights: Vec<f64> = (0..exchange.weights().len()).map(|k| (1.3 * k as f64).sin()).collect();
+    exchange.set_weights(&weights);
+    exchange.reset(&common::shaken(&learned));
+    exchange.start().unwrap();
+    assert_ne!(bits(&mut physics), bits(&mut exchange));
+    let rates = exchange.momentum_rates();
+    let parts: Vec<&str> = rates.contributions.iter().map(|part| part.name.as_str()).collect();
+    assert!(parts.iter().any(|name| name.contains("exchange")), "{parts:?}");
+    let lost = rates.contributions.iter().filter(|part| !part.name.contains("forcing"));
+    let lost = lost.map(|part| part.rate.norm()).fold(0.0, f64::max) / rates.scale;
+    assert!(lost < 1e-14, "{lost:e}");
 }
 
 #[test]

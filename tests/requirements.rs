@@ -335,7 +335,7 @@ fn columns_of_a_gradient(
 ) -> (Vec<Expected>, Vec<Expected>) {
     let (learn, vector) = (scene.learn.as_ref().unwrap(), 8.0 * scene.dimension as f64);
     let kind = learn.model.kind();
-    let in_the_force = ["node", "nn-sum", "rot-inv", "grad-p"].contains(&kind);
+    let in_the_force = ["node", "nn-sum", "rot-inv", "grad-p", "exchange"].contains(&kind);
     let mut held = [columns_of_a_flow(scene), columns_of_observations(scene)].concat();
     held.push(exactly("search", "first state", 2.0 * vector));
     if way == Way::Forward {

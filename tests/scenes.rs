@@ -531,6 +531,7 @@ fn an_unknown_key_is_refused_beside_every_kind() {
         "learn.model={kind='rot-inv',height=4}",
         "learn.model={kind='nn-sum',height=4}",
         "learn.model={kind='node',height=4}",
+        "learn.model={kind='exchange',height=4}",
         "learn.optimiser={kind='levenberg-marquardt'}",
         "learn.optimiser={kind='lbfgs'}",
         "learn.optimiser={kind='adam',rate=0.1}",

@@ -138,15 +138,22 @@ fn study_of_dns(arguments: &Arguments) -> Result<()> {
             left.push(law);
         }
     }
-    let bar = Meter::new(1000 * left.len() as u64, "reproduce", template);
+    // The truths take about as long as two laws.
+    let before = if left.is_empty() { 0.0 } else { 2.0 };
+    let bar = Meter::new((1000.0 * (before + left.len() as f64)) as u64, "reproduce", template);
     let mut truths = Truths::default();
-    let learned = left.iter().enumerate().try_for_each(|(k, law)| {
+    bar.set_prefix("truths");
+    let prepared = match left.is_empty() {
+        true => Ok(()),
+        false => study.prepare(&mut truths, &mut |share| bar.set_position((2000.0 * share) as u64)),
+    };
+    let learned = prepared.and_then(|()| left.iter().enumerate().try_for_each(|(k, law)| {
         bar.set_prefix(format!("{} of {}, {}", LAWS.len() - left.len() + k + 1, LAWS.len(), law.name));
         study.run(law, &mut truths, &mut |share, word| {
-            bar.set_position((1000.0 * (k as f64 + share)) as u64);
+            bar.set_position((1000.0 * (before + k as f64 + share)) as u64);
             bar.set_message(word.to_owned());
         })
-    });
+    }));
     interrupt::keep(learned, || {
         let folder = study.folder.display();
         format!("the laws that are done are kept in {folder}; the same command goes on from there")

@@ -72,6 +72,6 @@ impl<const D: usize> Flow<D> {
     pub fn draw_weights(&self, seed: u64) -> Vec<f64> {
         let mut generator = stream(seed, Stream::Weights);
         let network = self.model().network();
-        network.map(|network| network.shape.initial(&mut generator)).unwrap_or_default()
+        network.map(|network| network.initial(&mut generator)).unwrap_or_default()
     }
 }

@@ -14,6 +14,7 @@
 //! | [`RotInv`], Eq. (4) | `Σⱼ NN(Aᵢ, Aⱼ, vᵢⱼ·rᵢⱼ, r) rᵢⱼ` | 4 | with `antisymmetric` |
 //! | [`GradP`], Eq. (5) | `−Σⱼ m (NN(rᵢⱼ) + Πᵢⱼ) ∇ᵢWᵢⱼ` | `d` | with `antisymmetric` |
 //! | [`EosNn`], Eq. (6) | as `Physics`, with `P = NN(ρ)` | 1 | conserved |
+//! | [`Exchange`] | as `Physics`, and `Σⱼ NN(invariants of the pair)` along and across `rᵢⱼ` | 5 | conserved |
 //! | [`Physics`], Eq. (7) | `−Σⱼ m (Aᵢ + Aⱼ + Πᵢⱼ) ∇ᵢWᵢⱼ`, `A = P/ρ²` | – | conserved |
 //!
 //! **Mixed mode.** How each function is differentiated follows from its dimensions:
@@ -157,6 +158,8 @@ hierarchy! {
     nn_sum::NnSum = "nn-sum";
     /// [`Node`].
     node::Node = "node";
+    /// [`Exchange`].
+    exchange::Exchange = "exchange";
 }
 
 impl ModelChoice {

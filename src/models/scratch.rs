@@ -3,6 +3,7 @@
 use crate::neighbours::near::Near;
 use crate::network::{Cotangents, Network, Workspace};
 use crate::scalar::{F64x8, SimdFloat, SimdTask, dispatch};
+use rand_chacha::ChaCha8Rng;
 
 /// A network with its weights.
 #[derive(Clone, Debug)]
@@ -11,6 +12,8 @@ pub struct Learned {
     pub shape: Network,
     /// Its parameters, [`Network::parameter_count`] of them.
     pub weights: Vec<f64>,
+    /// Whether a search starts with outputs of zero.
+    starts_at_zero: bool,
 }
 
 /// A thread's scratch buffer to evaluate and differentiate a model; made once, used for every
@@ -52,7 +55,7 @@ impl Scratch {
         let zeros = |count: usize| vec![F64x8::ZERO; count];
         let plain =
             Self { scalars: zeros(scalars), p_over_rho2_by: zeros(scalars), ..Self::default() };
-        let Some(Learned { shape, weights }) = network else { return plain };
+        let Some(Learned { shape, weights, .. }) = network else { return plain };
         Self {
             workspace: Some(Workspace::new(shape)),
             input: zeros(shape.inputs()),
@@ -81,7 +84,23 @@ impl Scratch {
 impl Learned {
     /// A network of a given shape, with all parameters at zero.
     pub fn new(shape: Network) -> Self {
-        Self { shape, weights: vec![0.0; shape.parameter_count()] }
+        Self { shape, weights: vec![0.0; shape.parameter_count()], starts_at_zero: false }
+    }
+
+    /// The same; a search starts with outputs of zero.
+    pub(super) fn at_zero(shape: Network) -> Self {
+        Self { starts_at_zero: true, ..Self::new(shape) }
+    }
+
+    /// The weights that a search starts with, [`Network::initial`]; those of the last layer are zero where the outputs
+    /// are to start at zero.
+    pub(crate) fn initial(&self, generator: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut weights = self.shape.initial(generator);
+        if self.starts_at_zero {
+            let first = weights.len() - self.shape.last_layer();
+            weights[first..].fill(0.0);
+        }
+        weights
     }
 
     /// Evaluates `scratch.output` for `scratch.input`.
@@ -131,7 +150,7 @@ impl SimdTask for Value<'_> {
 
     #[inline(always)]
     fn run<W: SimdFloat>(self) {
-        let Learned { shape, weights } = self.network;
+        let Learned { shape, weights, .. } = self.network;
         self.output.copy_from_slice(shape.value::<W>(weights, self.input, self.workspace));
     }
 }
@@ -147,7 +166,7 @@ impl SimdTask for Jacobian<'_> {
 
     #[inline(always)]
     fn run<W: SimdFloat>(self) {
-        let Learned { shape, weights } = self.network;
+        let Learned { shape, weights, .. } = self.network;
         shape.jacobian::<W>(weights, self.workspace, self.into);
     }
 }
@@ -164,7 +183,7 @@ impl SimdTask for Pullback<'_> {
 
     #[inline(always)]
     fn run<W: SimdFloat>(self) {
-        let Learned { shape, weights } = self.network;
+        let Learned { shape, weights, .. } = self.network;
         shape.pullback::<W>(weights, self.output, self.workspace, self.into);
     }
 }
@@ -181,7 +200,7 @@ impl SimdTask for WeightGradient<'_> {
 
     #[inline(always)]
     fn run<W: SimdFloat>(self) {
-        let Learned { shape, weights } = self.network;
+        let Learned { shape, weights, .. } = self.network;
         shape.parameter_gradient::<W>(weights, self.output, self.workspace, self.into);
     }
 }

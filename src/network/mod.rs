@@ -120,6 +120,12 @@ impl Network {
         parameters
     }
 
+    /// Number of parameters of the last layer, which are the last ones.
+    pub fn last_layer(&self) -> usize {
+        let [_, _, (receives, units)] = self.shapes();
+        units * (receives + 1)
+    }
+
     /// The output for one input, by the formula, over any [`Scalar`]: numbers, or dual numbers for
     /// derivatives.
     ///

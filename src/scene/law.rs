@@ -217,7 +217,7 @@ impl Law {
         if apart(ratios[0], ratios[1]) {
             let [then, now] = ratios;
             let tied = match kind {
-                "physics" => "its constants stand for the pressure of these densities",
+                "physics" | "exchange" => "its constants stand for the pressure of these densities",
                 "eos-nn" => "its pressure was learned for the densities that this width sums",
                 _ => "its sums over neighbours were learned with that number of them",
             };

@@ -34,11 +34,14 @@ pub struct StudiedLaw {
 /// Overrides of laws with weights: a search by the adjoint.
 const BY_ADJOINT: &str = "learn.optimiser={kind='lbfgs'}";
 
+/// The start of a search that has the constants beside a network: about where `constants` ends.
+const AT_CONSTANTS: &str = "learn.guess={c=16.7,alpha=0.065,beta=0.65,p0=1.15,theta=0.48}";
+
 /// Iterations of such a search.
 const MANY: &str = "learn.iterations=150";
 
 /// The laws, the baseline first.
-pub const LAWS: [StudiedLaw; 7] = [
+pub const LAWS: [StudiedLaw; 9] = [
     StudiedLaw {
         name: "constants",
         about: "SPH with the cubic spline: c, α, β, p₀ and θ",
@@ -100,6 +103,21 @@ pub const LAWS: [StudiedLaw; 7] = [
             BY_ADJOINT,
             MANY,
         ],
+    },
+    StudiedLaw {
+        name: "exchange-central",
+        about: "constants, and a learned exchange along the line between two particles",
+        overrides: &[
+            "learn.model={kind='exchange',height=8,transverse=false}",
+            AT_CONSTANTS,
+            BY_ADJOINT,
+            MANY,
+        ],
+    },
+    StudiedLaw {
+        name: "exchange",
+        about: "constants, and a learned exchange along and across that line",
+        overrides: &["learn.model={kind='exchange',height=8}", AT_CONSTANTS, BY_ADJOINT, MANY],
     },
 ];
 
@@ -222,6 +240,14 @@ impl DnsStudy {
         Ok(self.done(law)?.is_some())
     }
 
+    /// Runs the truths that laws share; `tick` is called with the share that is done.
+    ///
+    /// # Errors
+    /// As [`Lesson::new`].
+    pub fn prepare(&self, truths: &mut Truths, tick: &mut dyn FnMut(f64)) -> Result<()> {
+        truths.reference(&self.scene(&LAWS[0])?, tick).map(drop)
+    }
+
     /// Learns a law and judges it; `tick` is called with the share that is done and a description of the progress.
     ///
     /// # Errors
@@ -234,7 +260,7 @@ impl DnsStudy {
     ) -> Result<()> {
         let (base, scene) = (self.scene(&LAWS[0])?, self.scene(law)?);
         let is_base_kernel = scene.fluid.kernel == base.fluid.kernel;
-        let reference = truths.reference(&base, tick)?;
+        let reference = truths.reference(&base, &mut |_| {})?;
         let own;
         let lesson = match is_base_kernel {
             true => {
@@ -242,7 +268,7 @@ impl DnsStudy {
                 &*reference
             }
             false => {
-                own = Lesson::<3>::with_progress(&scene, None, &mut || tick(0.3, "truths"))?;
+                own = Lesson::<3>::with_progress(&scene, None, &mut || tick(0.0, "truths"))?;
                 &own
             }
         };
@@ -255,7 +281,7 @@ impl DnsStudy {
         let report = training.run(&mut learner, guess, &mut |progress| {
             if let Progress::Iteration(iteration) = progress {
                 let share = (iteration.index as f64 / most).min(1.0);
-                tick(0.3 + 0.6 * share, &format!("loss {:.2e}", iteration.evaluation.loss));
+                tick(0.9 * share, &format!("loss {:.2e}", iteration.evaluation.loss));
             }
         });
         let result = match report {
@@ -326,18 +352,14 @@ impl DnsStudy {
 pub struct Truths(Option<Lesson<3>>);
 
 impl Truths {
-    fn reference(
-        &mut self,
-        base: &Scene,
-        tick: &mut dyn FnMut(f64, &str),
-    ) -> Result<&mut Lesson<3>> {
+    fn reference(&mut self, base: &Scene, tick: &mut dyn FnMut(f64)) -> Result<&mut Lesson<3>> {
         let lesson = match self.0.take() {
             Some(lesson) => lesson,
             None => {
                 let (truths, mut made) = (Lesson::<3>::work(base.learning()?), 0);
                 Lesson::with_progress(base, None, &mut || {
                     made += 1;
-                    tick(0.3 * made as f64 / truths as f64, "truths");
+                    tick(made as f64 / truths as f64);
                 })?
             }
         };

@@ -147,7 +147,7 @@ fn say_other_laws(other: &Scene, (scene, learn): (&Scene, &Learn), findings: &mu
 /// Whether a model with a network does not depend on a constant of the fluid.
 fn is_unseen(name: &str, learn: &Learn) -> bool {
     let replaced = match learn.model.kind() {
-        "physics" => &[][..],
+        "physics" | "exchange" => &[][..],
         "eos-nn" => &["c", "gamma", "p0"][..],
         "grad-p" => &["c", "gamma", "p0"][..],
         _ => &["c", "alpha", "beta", "gamma", "p0"][..],
