@@ -70,6 +70,8 @@ mod random;
     allow(dead_code, unused_imports, reason = "the commands use it")
 )]
 pub mod recording;
+#[cfg(feature = "laboratory")]
+mod recording_page;
 pub mod reduce;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]

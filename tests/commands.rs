@@ -634,7 +634,20 @@ fn help_names_every_option() {
                 "--json",
             ],
         ),
-        ("replay", &["--save", "--spawn", "--connect", "--recover", "--out", "--info", "--json"]),
+        (
+            "replay",
+            &[
+                "--html",
+                "--every",
+                "--save",
+                "--spawn",
+                "--connect",
+                "--recover",
+                "--out",
+                "--info",
+                "--json",
+            ],
+        ),
         (
             "evaluate",
             &[

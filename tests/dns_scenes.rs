@@ -12,7 +12,7 @@ use whirls::scene::{AnyScene, DnsScene, SHIPPED_DNS};
 use whirls::vector::Vector;
 
 /// A simulation of a second, whose tracers a small scene of particles can learn from.
-const SMALL_DNS: &str = r#"
+pub(crate) const SMALL_DNS: &str = r#"
 name = "small-dns"
 kind = "dns"
 dimension = 2

@@ -5,23 +5,31 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
-use super::common::{conclude, say, say_json};
+use super::common::{conclude, say, say_json, warn};
+use super::flow::progress;
 use serde_json::{Value, json};
-#[cfg(feature = "viewer")]
-use crate::output::must_differ;
+use crate::output::{Output, must_differ};
 use crate::recording::{Flow, Recording, recover};
+use crate::recording_page::{Plan, Size};
 use crate::run::{Guard, command_of};
 use crate::{Error, Result};
 
 /// Looks at recordings: both flows, the course of learning, what the flow keeps.
 ///
-/// Without any option the recording is opened in the Rerun viewer (`pip install rerun-sdk==0.36.3`).
+/// With --html it becomes a page that any browser opens. Without any option it is opened in the Rerun viewer
+/// (`pip install rerun-sdk==0.36.3`), in a build with the feature `viewer`.
 #[derive(Debug, Parser)]
 #[command(name = "replay", version)]
 pub(super) struct Arguments {
     /// Recordings that `train` or `simulate` wrote; each becomes one recording of the viewer.
     #[arg(required = true, value_name = "FILE.mcap")]
     files: Vec<PathBuf>,
+    /// Write one page for any browser, without a network: curves, and a slice of vorticity and speed that moves.
+    #[arg(long, value_name = "OUT.html", group = "action")]
+    html: Option<PathBuf>,
+    /// Put every N-th frame on the page, and the last [default: as many as fit into some 6 MB].
+    #[arg(long, value_name = "N", requires = "html", value_parser = clap::value_parser!(u32).range(1..))]
+    every: Option<u32>,
     /// Write the dashboard and its data into a file instead of opening a viewer.
     #[arg(long, value_name = "OUT.rrd", group = "action")]
     save: Option<PathBuf>,
@@ -54,6 +62,9 @@ fn run(arguments: &Arguments) -> Result<Value> {
     let each: Result<Vec<Value>> = if arguments.recover {
         one_file(arguments, "--recover")?;
         arguments.files.iter().map(|file| rescue(file, arguments.out.as_deref())).collect()
+    } else if let Some(out) = &arguments.html {
+        one_file(arguments, "--html")?;
+        arguments.files.iter().map(|file| page((file, out), arguments)).collect()
     } else if arguments.info {
         arguments.files.iter().map(|file| describe(file)).collect()
     } else {
@@ -68,6 +79,60 @@ fn one_file(arguments: &Arguments, option: &str) -> Result<()> {
         1 => Ok(()),
         count => Err(Error::input(option, "one recording", count, "call it once for each")),
     }
+}
+
+/// Writes the page of a recording; says its size before and after.
+fn page((file, out): (&Path, &Path), arguments: &Arguments) -> Result<Value> {
+    must_be_html(out)?;
+    must_differ(out, &[file])?;
+    let recording = Recording::open(file)?;
+    if recording.is_truncated() {
+        warn(&cut_short(file));
+    }
+    let place = file.display().to_string();
+    let plan = Plan::of(&recording, &place, arguments.every.map(|every| every as usize))?;
+    let Size { frames, recorded, nodes, fields, bytes } = plan.size();
+    let mega = |bytes: usize| format!("{:.2} MB", bytes as f64 / 1e6);
+    if !arguments.json {
+        let [columns, rows] = nodes;
+        say(format!(
+            "slice: {frames} of {recorded} frames, {fields} fields on {columns} x {rows} nodes, about {}",
+            mega(bytes)
+        ));
+    }
+    let output = Output::create(out)?;
+    let bar = progress(plan.work(), "page");
+    let html = plan.html(&mut || bar.inc(1))?;
+    bar.finish_and_clear();
+    drop(output);
+    Output::write(out, html.as_bytes())?;
+    Ok(json!({
+        "page": out.display().to_string(),
+        "size": mega(html.len()),
+        "bytes": html.len(),
+        "frames": frames,
+        "frames_recorded": recorded,
+        "nodes": nodes,
+        "truncated": recording.is_truncated(),
+    }))
+}
+
+/// Refuses the name of a file of another kind, such as a recording that the page would replace.
+fn must_be_html(out: &Path) -> Result<()> {
+    let extension = out.extension().and_then(|extension| extension.to_str());
+    if extension.is_some_and(|extension| ["html", "htm"].contains(&extension)) {
+        return Ok(());
+    }
+    let expected = "a name that ends in .html";
+    Err(Error::input("--html", expected, out.display(), "name the page, such as --html flow.html"))
+}
+
+/// The warning that a recording ends too early.
+fn cut_short(file: &Path) -> String {
+    let file = file.display();
+    format!(
+        "{file} was cut short; this shows what is there, and `replay --recover {file}` makes a whole file of it"
+    )
 }
 
 fn rescue(file: &Path, out: Option<&Path>) -> Result<Value> {
@@ -138,7 +203,7 @@ fn view(arguments: &Arguments) -> Result<Vec<Value>> {
     let each = arguments.files.iter().map(|file| {
         let recording = Recording::open(file)?;
         if recording.is_truncated() {
-            complain(&format!("{}: cut short; showing what is there", file.display()));
+            warn(&cut_short(file));
         }
         let name = file.file_stem().unwrap_or_default().to_string_lossy();
         show(&recording, &name, &target)?;
@@ -174,10 +239,4 @@ fn print(report: &Value, as_json: bool) -> Result<()> {
     let lines = report.as_object().into_iter().flatten();
     lines.for_each(|(key, value)| say(format!("{key}: {value}")));
     Ok(())
-}
-
-#[cfg(feature = "viewer")]
-#[expect(clippy::print_stderr, reason = "a command warns here")]
-fn complain(text: &dyn std::fmt::Display) {
-    eprintln!("warning: {text}");
 }

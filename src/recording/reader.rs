@@ -109,6 +109,12 @@ impl Recording {
         self.decoded(flow.topic(), k)?.into_numbered(&place)
     }
 
+    /// Cloud `k` of a topic of particles with velocities, as a frame.
+    pub(crate) fn particles(&self, topic: &str, k: usize) -> Result<Frame> {
+        let place = format!("{}, {topic}, message {k}", self.place);
+        Ok(self.decoded(topic, k)?.into_numbered(&place)?.frame)
+    }
+
     /// Simulation times of a topic's clouds, to the nanosecond; [`Cloud::time`] is exact.
     pub fn cloud_times(&self, topic: &str) -> Vec<f64> {
         let addresses = self.source.addresses(topic);

@@ -158,6 +158,18 @@ pub struct Span {
     pub to: f64,
 }
 
+/// A part of the page that is neither a table nor a figure of this module.
+pub(crate) struct Insert {
+    /// Its `id` on the page, for links.
+    pub(crate) id: String,
+    /// Its title in the contents.
+    pub(crate) title: String,
+    /// Rules of style of its own.
+    pub(crate) style: &'static str,
+    /// The part itself.
+    pub(crate) markup: maud::Markup,
+}
+
 impl Report {
     /// The whole report as indented JSON; a number that is not finite is written as `null`.
     pub fn json(&self) -> Result<String> {
@@ -166,7 +178,12 @@ impl Report {
 
     /// The whole report as one HTML file that needs no other file, no script and no network.
     pub fn html(&self) -> Result<String> {
-        page::page(self)
+        page::page(self, None)
+    }
+
+    /// The same with a part of another kind before tables and figures.
+    pub(crate) fn html_with(&self, insert: &Insert) -> Result<String> {
+        page::page(self, Some(insert))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The page: one self-contained HTML file.
 
-use super::{Cell, Curve, Figure, Report, Role, Row, Span, Table, printed};
+use super::{Cell, Curve, Figure, Insert, Report, Role, Row, Span, Table, printed};
 use crate::error::Result;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -40,7 +40,7 @@ details .wide { max-height: 24rem; overflow: auto; margin-top: .4rem; }
 ";
 
 /// The whole report as one HTML file.
-pub(super) fn page(report: &Report) -> Result<String> {
+pub(super) fn page(report: &Report, insert: Option<&Insert>) -> Result<String> {
     let drawings: Vec<String> = report.figures.iter().map(Figure::svg).collect::<Result<_>>()?;
     let markup = html! {
         (DOCTYPE)
@@ -49,7 +49,7 @@ pub(super) fn page(report: &Report) -> Result<String> {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 title { (report.title) }
-                style { (PreEscaped(STYLE)) }
+                style { (PreEscaped(STYLE)) @if let Some(insert) = insert { (PreEscaped(insert.style)) } }
             }
             body {
                 h1 { (report.title) }
@@ -57,7 +57,8 @@ pub(super) fn page(report: &Report) -> Result<String> {
                 @if !report.facts.is_empty() {
                     dl { @for (name, value) in &report.facts { dt { (name) } dd { (value) } } }
                 }
-                (contents(report))
+                (contents(report, insert))
+                @if let Some(insert) = insert { h2 { (insert.title) } (insert.markup) }
                 @if !report.tables.is_empty() { h2 { "Tables" } }
                 @for (at, entry) in report.tables.iter().enumerate() { (table(at + 1, entry)) }
                 @if !report.figures.is_empty() { h2 { "Figures" } }
@@ -70,13 +71,16 @@ pub(super) fn page(report: &Report) -> Result<String> {
     Ok(markup.into_string())
 }
 
-fn contents(report: &Report) -> Markup {
+fn contents(report: &Report, insert: Option<&Insert>) -> Markup {
     let tables = report.tables.iter().map(|table| ("Table", &table.name, &table.title));
     let figures = report.figures.iter().map(|figure| ("Figure", &figure.name, &figure.title));
     html! {
         nav {
             h2 { "Contents" }
             ol {
+                @if let Some(insert) = insert {
+                    li { a href={ "#" (insert.id) } { span { "Slice" } (insert.title) } }
+                }
                 @for (at, (kind, name, title)) in tables.enumerate() { (link(kind, at + 1, (name, title))) }
                 @for (at, (kind, name, title)) in figures.enumerate() { (link(kind, at + 1, (name, title))) }
             }

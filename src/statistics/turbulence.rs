@@ -16,7 +16,7 @@
 
 use super::momentum;
 use super::spectrum::mode_sums;
-use crate::flow::Flow;
+use crate::flow::{Flow, State};
 use crate::losses::Mesh;
 use crate::models::{LaminarViscosity, ModelChoice};
 use crate::scene::Scene;
@@ -99,15 +99,23 @@ pub struct Turbulence {
 impl Turbulence {
     /// Of a flow's current state; none for a flow at rest, and where an axis is open.
     pub fn of<const D: usize>(scene: &Scene, flow: &mut Flow<D>) -> Option<Self> {
+        Self::of_state(scene, &flow.state(), &flow.densities())
+    }
+
+    /// Of a state with the densities of its particles, as in a recorded frame; none as above.
+    pub(crate) fn of_state<const D: usize>(
+        scene: &Scene,
+        state: &State<D>,
+        densities: &[f64],
+    ) -> Option<Self> {
         let space = scene.space();
         if (0..D).any(|axis| !space.is_periodic(axis)) {
             return None;
         }
-        let (state, densities) = (flow.state(), flow.densities());
         let count = state.positions.len() as f64;
         let length = space.longest::<D>();
         let mesh = Mesh::<D>::of_particles(space, state.positions.len());
-        let sums = mode_sums(&mesh, &velocity_field(scene, &mesh, &state, &densities));
+        let sums = mode_sums(&mesh, &velocity_field(scene, &mesh, state, densities));
         let mean = momentum(1.0 / count, &state.velocities);
         let squares = state.velocities.iter().map(|&v| (v - mean).norm_squared()).sum::<f64>();
         let all: f64 = state.velocities.iter().map(|v| v.norm_squared()).sum();

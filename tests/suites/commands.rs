@@ -15,3 +15,5 @@ mod door_commands;
 mod first_hour;
 #[path = "../outputs.rs"]
 mod outputs;
+#[path = "../replay_page.rs"]
+mod replay_page;
