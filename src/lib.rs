@@ -62,7 +62,6 @@ pub mod packed;
 pub mod pairs;
 pub mod parameters;
 mod pool;
-#[doc(hidden)]
 mod random;
 #[cfg(feature = "recording")]
 #[cfg_attr(
@@ -72,6 +71,7 @@ mod random;
 pub mod recording;
 #[cfg(feature = "laboratory")]
 mod recording_page;
+#[doc(hidden)]
 pub mod reduce;
 #[cfg(feature = "laboratory")]
 #[doc(hidden)]

@@ -4,6 +4,7 @@
 
 mod field;
 mod increments;
+#[doc(hidden)]
 pub mod statistics;
 mod trajectory;
 
