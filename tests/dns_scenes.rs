@@ -245,7 +245,7 @@ fn wrong_input_is_refused_with_what_to_do() {
     place.refuses("simulate", &["dns.toml", "--steps", "3"], &["time.frames"]);
     place.refuses("simulate", &["dns.toml", "--from", "x.mcap"], &["dns.start"]);
     for command in ["train", "trade"] {
-        place.refuses(command, &["dns-3d"], &["simulation", "--truth"]);
+        place.refuses(command, &["dns-2d"], &["simulation", "--truth"]);
         place.refuses(command, &["dns.toml"], &["simulation", "--truth"]);
     }
     place.refuses("simulate", &["dns-4d"], &["dns-2d, dns-3d", "did you mean dns-"]);

@@ -319,8 +319,10 @@ fn assert_training(name: &str, scene: &Scene, found: &Requirements) {
         held.push(exactly("truth", "states", states * 2.0 * vector));
         held.push(exactly("truth", "densities", states * 8.0));
         held.push(exactly("recording", "frames on their way, at most", 10.0 * 64.0));
-        for topic in ["/truth/particles", "/learned/particles"] {
-            each_step.push(exactly("recording, a step", &format!("row of {topic}"), 64.0));
+        // The truth is recorded where it is observed.
+        for (topic, every) in [("/truth/particles", learn.every), ("/learned/particles", 1)] {
+            let row = 64.0 / every as f64;
+            each_step.push(exactly("recording, a step", &format!("row of {topic}"), row));
         }
     }
     assert_columns(&about, &found.held, &held);
