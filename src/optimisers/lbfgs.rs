@@ -5,6 +5,7 @@
 //! flow and its adjoint, may diverge, and must be recorded, while crates that offer it (`argmin`)
 //! own the loop.
 
+use super::dot;
 use std::collections::VecDeque;
 
 /// The stored curvature of the loss: pairs of steps and changes of the gradient.
@@ -13,10 +14,6 @@ pub struct Lbfgs {
     memory: usize,
     /// `(s, y, 1/(s·y))`, the latest last.
     pairs: VecDeque<(Vec<f64>, Vec<f64>, f64)>,
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 impl Lbfgs {

@@ -65,7 +65,7 @@ impl LevenbergMarquardt {
 
 /// Solves `A x = b` for a symmetric positive definite matrix by Cholesky decomposition, after
 /// scaling its diagonal to one; `None` where it is not positive definite.
-fn solve_positive(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
+pub(crate) fn solve_positive(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     let n = b.len();
     let scale: Vec<f64> = (0..n).map(|k| 1.0 / a[k * n + k].sqrt()).collect();
     for i in 0..n {

@@ -8,6 +8,7 @@
 //! | [`Rmsprop`] | gradient | as Adam, where its momentum overshoots |
 
 mod adam;
+mod conjugate_gradients;
 mod coordinates;
 mod lbfgs;
 mod levenberg_marquardt;
@@ -15,9 +16,12 @@ mod rmsprop;
 mod spectrum;
 
 pub use adam::Adam;
+pub(crate) use conjugate_gradients::dot;
+pub use conjugate_gradients::{ConjugateSolution, conjugate_gradients};
 pub use coordinates::Coordinates;
 pub use lbfgs::{Lbfgs, LineSearch};
 pub use levenberg_marquardt::LevenbergMarquardt;
+pub(crate) use levenberg_marquardt::solve_positive;
 pub use rmsprop::Rmsprop;
 pub use spectrum::Spectrum;
 
