@@ -9,8 +9,8 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use crate::run::{DnsStudy, Guard, LAWS, Reproduction, Stage, Truths};
-use crate::{Result, interrupt};
+use crate::run::{DnsStudy, Guard, LAWS, Reproduction, Stage, StudiedLaw, Truths};
+use crate::{Error, Result, interrupt};
 
 /// Trains the six models of the hierarchy on three flows, evaluates them, and prints what they are worth
 /// beside the numbers of Woodward et al. (arXiv:2110.13311). Killed and started again, it goes on where it was.
@@ -21,6 +21,10 @@ pub(super) struct Arguments {
     /// trained.
     #[arg(long, value_enum, default_value_t = Evidence::Hierarchy)]
     study: Evidence,
+    /// With `--study dns`, only these laws: constants, laminar, w-ab, w-2, eos-nn, rot-inv, nn-sum, exchange-central,
+    /// exchange. Laws of earlier runs in the same folder are not learned again.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES", value_parser = a_law)]
+    laws: Vec<StudiedLaw>,
     /// A small flow and short searches: whether everything works, in one or two minutes.
     #[arg(long)]
     quick: bool,
@@ -37,6 +41,13 @@ pub(super) struct Arguments {
     /// Print one JSON object as the last line of standard output.
     #[arg(long)]
     json: bool,
+}
+
+/// A law of the study by its name.
+fn a_law(name: &str) -> std::result::Result<StudiedLaw, String> {
+    let names = || LAWS.map(|law| law.name).join(", ");
+    let found = LAWS.into_iter().find(|law| law.name == name.trim());
+    found.ok_or_else(|| format!("expected one of {}", names()))
 }
 
 /// What is reproduced.
@@ -59,6 +70,10 @@ pub(super) fn execute(arguments: &Arguments) -> ExitCode {
 fn run(arguments: &Arguments) -> Result<()> {
     if arguments.study == Evidence::Dns {
         return study_of_dns(arguments);
+    }
+    if let Some(law) = arguments.laws.first() {
+        let remedy = "add --study dns, or leave out --laws";
+        return Err(Error::input("--laws", "--study dns, whose laws it names", law.name, remedy));
     }
     let name = if arguments.quick { "reproduction-quick" } else { "reproduction" };
     let folder = arguments.out.clone().unwrap_or_else(|| PathBuf::from("recordings").join(name));
@@ -127,13 +142,15 @@ fn stages(reproduction: &Reproduction) -> Result<(usize, usize)> {
 fn study_of_dns(arguments: &Arguments) -> Result<()> {
     let name = if arguments.quick { "dns-study-quick" } else { "dns-study" };
     let folder = arguments.out.clone().unwrap_or_else(|| PathBuf::from("recordings").join(name));
-    let study = DnsStudy { folder, quick: arguments.quick, seed: arguments.seed };
+    let laws = if arguments.laws.is_empty() { LAWS.to_vec() } else { arguments.laws.clone() };
+    let study = DnsStudy { folder, quick: arguments.quick, seed: arguments.seed, laws };
+    let count = study.laws.len();
     let guard = Guard { command: "reproduce", ..Guard::default() };
     let _reserved = guard.reserve_folder(&study.folder, &["dns-study.json", "dns-study.html"])?;
     let clock = Instant::now();
     let template = "[{bar:30}] {percent}% ({elapsed}, {eta} left) {prefix} {msg}";
     let mut left = Vec::new();
-    for law in &LAWS {
+    for law in &study.laws {
         if !study.is_done(law)? {
             left.push(law);
         }
@@ -148,7 +165,7 @@ fn study_of_dns(arguments: &Arguments) -> Result<()> {
         false => study.prepare(&mut truths, &mut |share| bar.set_position((2000.0 * share) as u64)),
     };
     let learned = prepared.and_then(|()| left.iter().enumerate().try_for_each(|(k, law)| {
-        bar.set_prefix(format!("{} of {}, {}", LAWS.len() - left.len() + k + 1, LAWS.len(), law.name));
+        bar.set_prefix(format!("{} of {}, {}", count - left.len() + k + 1, count, law.name));
         study.run(law, &mut truths, &mut |share, word| {
             bar.set_position((1000.0 * (before + k as f64 + share)) as u64);
             bar.set_message(word.to_owned());
@@ -167,8 +184,8 @@ fn study_of_dns(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     say_json(&json!({
-        "laws": LAWS.len(),
-        "laws_done_before": LAWS.len() - left.len(),
+        "laws": count,
+        "laws_done_before": count - left.len(),
         "seconds": clock.elapsed().as_secs_f64(),
         "report": study.folder.join("dns-study.json"),
         "html": page,

@@ -3,7 +3,7 @@
 use super::search::Search;
 use super::{Evaluation, Iteration, Learner};
 use crate::error::Result;
-use crate::optimisers::{Coordinates, Descend, Lbfgs, LineSearch};
+use crate::optimisers::{Coordinates, Descend, Lbfgs, LineSearch, dot};
 
 /// Number of trials along one line of a quasi-Newton search, maximum.
 const TRIALS: usize = 20;
@@ -56,7 +56,14 @@ impl<const D: usize> Learner<D> {
             }
             (search.index, search.window) = (search.index + 1, window);
             let index = search.index;
-            watch(&Iteration { index, window, evaluation: &here, rate, note })?;
+            watch(&Iteration {
+                index,
+                window,
+                evaluation: &here,
+                rate,
+                note,
+                with_first_frames: false,
+            })?;
         }
         self.choose(0, true);
         Ok(here)
@@ -130,7 +137,7 @@ impl<const D: usize> Learner<D> {
             found = trial.ok().filter(|t| t.loss < here.loss).or(found);
             let evaluation = found.as_ref().filter(|_| done).unwrap_or(here);
             let (index, window) = (search.index, line.window);
-            watch(&Iteration { index, window, evaluation, rate, note })?;
+            watch(&Iteration { index, window, evaluation, rate, note, with_first_frames: false })?;
             if done {
                 break;
             }
@@ -150,7 +157,14 @@ impl<const D: usize> Learner<D> {
             search.index += 1;
             let note = Some(format!("the parameters of iteration {met}, the best over all frames"));
             let index = search.index;
-            watch(&Iteration { index, window, evaluation: &best, rate: 0.0, note })?;
+            watch(&Iteration {
+                index,
+                window,
+                evaluation: &best,
+                rate: 0.0,
+                note,
+                with_first_frames: false,
+            })?;
         }
         Ok(best)
     }
@@ -184,8 +198,4 @@ impl Line<'_> {
 
 fn minus(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -8,7 +8,7 @@
 //! nearly linear, and mapped to parameters by their Jacobian. It does not contain noise of the
 //! first frame, which a prediction takes as exact. Tested in `tests/knowledge.rs`.
 
-use super::{Evaluation, Learner};
+use super::{Evaluation, FirstFrames, Learner};
 use crate::optimisers::{Coordinates, Spectrum};
 use crate::parameters::{Domain, Parameter};
 use serde::{Deserialize, Serialize};
@@ -67,6 +67,9 @@ pub struct Knowledge {
     /// The reason why there are no standard errors, if there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_standard_error: Option<String>,
+    /// The estimate of the first frames, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_frames: Option<FirstFrames>,
     /// Events during the search that qualify the result: guesses replaced, stages skipped.
     pub remarks: Vec<String>,
 }
@@ -85,7 +88,11 @@ pub(super) struct Course<'a> {
 const MOST: usize = 64;
 
 /// Absolute correlation above which a pair is reported.
-const CORRELATED: f64 = 0.95;
+pub(super) const CORRELATED: f64 = 0.95;
+
+/// The remark on a first frame that is measured and taken as exact.
+pub(super) const EXACT_START: &str = "the first frame is taken as exact: its noise is not in the standard errors, and \
+                                      biases the parameters (learn.initial estimates it, too)";
 
 /// Relative residual at or below which residuals are round-off of a few dozen steps.
 const ROUND_OFF: f64 = 1e-12;
@@ -136,11 +143,7 @@ impl<const D: usize> Learner<D> {
         };
         knowledge.remarks = course.remarks;
         if knowledge.stopped_by == Stop::Noise && self.is_recorded {
-            knowledge.remarks.push(
-                "the first frame is taken as exact: its noise is not in the standard errors, and biases the \
-                 parameters"
-                    .to_owned(),
-            );
+            knowledge.remarks.push(EXACT_START.to_owned());
         }
         if knowledge.relative_residual.is_some_and(|residual| residual > POOR) {
             knowledge.remarks.extend(self.doubt_of_data());

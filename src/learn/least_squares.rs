@@ -36,7 +36,14 @@ impl<const D: usize> Learner<D> {
             }
             (search.index, search.window) = (search.index + 1, window);
             let (index, rate) = (search.index, optimiser.damping());
-            watch(&Iteration { index, window, evaluation: &best, rate, note })?;
+            watch(&Iteration {
+                index,
+                window,
+                evaluation: &best,
+                rate,
+                note,
+                with_first_frames: false,
+            })?;
         }
         Ok(best)
     }

@@ -4,17 +4,20 @@
 
 mod check;
 mod diagnosis;
+mod first_frames;
 mod first_order;
 mod growth;
 mod knowledge;
 mod least_squares;
 mod lessons;
+mod measured;
 mod prediction;
 mod search;
 mod start;
 mod words;
 
 pub use check::{ComparedSlope, compare_along_gradient, compare_component};
+pub use first_frames::FirstFrames;
 pub use growth::{Growth, USEFUL, sensitivity_growth};
 pub use knowledge::{Knowledge, Stop};
 
@@ -34,7 +37,7 @@ use prediction::{Prediction, Setting};
 use rand::RngExt;
 
 /// The result of one evaluation of the loss.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Evaluation {
     /// The learned parameters, in the scene's order.
     pub parameters: Vec<f64>,
@@ -86,6 +89,8 @@ pub struct Iteration<'a> {
     pub rate: f64,
     /// The reason if the last trial was rejected, or the iteration to which the search returns.
     pub note: Option<String>,
+    /// Whether the first frame is estimated, too: then the loss is `χ²` per measured number.
+    pub with_first_frames: bool,
 }
 
 /// The result of a search.
@@ -136,6 +141,9 @@ pub struct Learner<const D: usize> {
     units: (Space, f64),
     /// Whether the frames are recorded particles.
     is_recorded: bool,
+    scene: Scene,
+    /// The estimated first frame of each lesson; empty where none was estimated.
+    first_frames: Vec<State<D>>,
 }
 
 impl<const D: usize> Learner<D> {
@@ -149,7 +157,12 @@ impl<const D: usize> Learner<D> {
         let learn = scene.learning()?.clone();
         let residuals = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
         let columns = columns::<D>(scene, &learn)?;
-        let gradient = learn.gradient.choose(residuals || learn.coupling == Coupling::Local);
+        // Without parameters there is nothing that forward sensitivities could be by.
+        let needs_forward = residuals || learn.coupling == Coupling::Local;
+        let gradient = match columns.is_empty() {
+            true => Gradient::Adjoint,
+            false => learn.gradient.choose(needs_forward),
+        };
         let frames = lessons.first().map_or(0, |(_, observations)| observations.frames.len());
         let one = |lesson| Prediction::new(scene, lesson, (gradient, &columns));
         let lessons = lessons.into_iter().map(one).collect::<Result<Vec<_>>>()?;
@@ -174,6 +187,8 @@ impl<const D: usize> Learner<D> {
             warm_up,
             units,
             is_recorded,
+            scene: scene.clone(),
+            first_frames: Vec::new(),
         })
     }
 
@@ -225,6 +240,12 @@ impl<const D: usize> Learner<D> {
         &mut self.lessons[0].flow
     }
 
+    /// The first frames that the last search estimated, lesson by lesson; empty where it took the measured ones as
+    /// exact.
+    pub fn first_frames(&self) -> &[State<D>] {
+        &self.first_frames
+    }
+
     fn flow(&self) -> &Flow<D> {
         &self.lessons[0].flow
     }
@@ -263,12 +284,17 @@ impl<const D: usize> Learner<D> {
     /// The coordinates of the search, with the domains of the parameters, except for parameters
     /// that the scene leaves unbounded.
     fn coordinates(&self) -> Coordinates {
+        Coordinates::new(&self.specs())
+    }
+
+    /// The learned parameters with the domains of the search.
+    fn specs(&self) -> Vec<ParameterSpec> {
         let specs = self.places.iter().map(|&place| {
             let spec = self.flow().parameters().specs()[place].clone();
             let free = self.learn.unbounded.contains(&spec.name);
             ParameterSpec { domain: if free { Domain::Real } else { spec.domain }, ..spec }
         });
-        Coordinates::new(&specs.collect::<Vec<_>>())
+        specs.collect()
     }
 
     /// Runs the prediction over the first `window` frames and compares it with the truth.

@@ -80,6 +80,24 @@ impl<const D: usize> Learner<D> {
             interrupt::check()?;
             watch(iteration)
         };
+        let initial = self.learn.initial.clone();
+        let first = guess.clone();
+        let outcome = match &initial {
+            Some(initial) if initial.alone => self.unsearched(guess),
+            _ => self.search(guess, watch)?,
+        };
+        match &initial {
+            Some(noise) => self.estimate_first_frames(noise, (&first, outcome), watch),
+            None => Ok(outcome),
+        }
+    }
+
+    /// The search with the first frames as they are.
+    fn search(
+        &mut self,
+        guess: Vec<f64>,
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Result<()>,
+    ) -> Result<Outcome> {
         let mut search = self.begin(guess, watch)?;
         let mut windows = self.learn.windows.clone();
         windows.retain(|&w| w < self.frames);
@@ -116,7 +134,7 @@ impl<const D: usize> Learner<D> {
         search.whole = self.evaluate(&search.guess, self.frames).ok();
         if let Some(evaluation) = &search.whole {
             let (index, window, rate, note) = (0, self.frames, 0.0, None);
-            watch(&Iteration { index, window, evaluation, rate, note })?;
+            watch(&Iteration { index, window, evaluation, rate, note, with_first_frames: false })?;
         }
         self.warm_up(&mut search, watch)?;
         Ok(search)

@@ -101,7 +101,7 @@ impl<const D: usize> Learner<D> {
         search.window = window;
         search.remarks.push(text.clone());
         let (index, rate, note) = (search.index, 0.0, Some(text));
-        watch(&Iteration { index, window, evaluation, rate, note })
+        watch(&Iteration { index, window, evaluation, rate, note, with_first_frames: false })
     }
 
     /// The evaluation of lowest loss over a window, among the guess and the last best parameters at

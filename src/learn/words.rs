@@ -72,6 +72,7 @@ impl Knowledge {
             });
             lines.push(format!("no standard errors: {why}{gradient}"));
         }
+        lines.extend(self.first_frames.as_ref().map(super::FirstFrames::words));
         lines.extend(self.remarks.iter().cloned());
         lines
     }

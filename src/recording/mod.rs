@@ -5,6 +5,8 @@
 //! | `/truth/particles`, `/learned/particles` | `foxglove.PointCloud` | simulation time | [`Recorder::frame`] |
 //! | `/NAME/particles` | `foxglove.PointCloud` | simulation time | [`Recorder::frame_of`] |
 //! | any other | `whirls.Values` | simulation time | [`Recorder::values`] |
+//! | `/learned/sensitivity/NAME` | `foxglove.PointCloud` with `∂(r, v, ρ)/∂NAME`: dx dy dz dvx dvy dvz drho | simulation time | `record.sensitivity` |
+//! | `/learned/adjoint` | `foxglove.PointCloud` with `∂L/∂(r, v)`: dL_dx dL_dy dL_dz dL_dvx dL_dvy dL_dvz | simulation time | `record.adjoint` |
 //! | any other | `foxglove.PointCloud` with named columns | simulation time | [`Recorder::cloud`] |
 //! | `/train/step` | `whirls.TrainStep` | iteration × 1 s | [`Recorder::train_step`] |
 //! | `/diag/conservation` | `whirls.Conservation` | simulation time | [`Recorder::conservation`] |

@@ -6,6 +6,7 @@ mod dns_study;
 pub mod door;
 mod evaluated;
 mod fitting;
+mod gradients;
 mod guard;
 mod held_out;
 mod import;

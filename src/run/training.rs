@@ -1,5 +1,6 @@
 //! A complete training: truth, search and learned flow, all recorded.
 
+use super::gradients::LearnedFlow;
 use super::{
     HeldOut, Lesson, Losses, Origin, Seconds, TrainingReport, begin_recording, frame, held_out,
     run_info, run_recorded, what_stopped,
@@ -197,7 +198,8 @@ impl<const D: usize> Training<'_, D> {
             if iteration.index > 0 || self.earlier.is_empty() {
                 recorder.train_step(self.train_step(iteration))?;
             }
-            if let Some(text) = steady.and_then(|steady| growth_warning(iteration, steady)) {
+            let same = steady.filter(|_| !iteration.with_first_frames);
+            if let Some(text) = same.and_then(|steady| growth_warning(iteration, steady)) {
                 watch(Progress::Warning(&text));
                 recorder.log(Level::Warning, start, text)?;
                 // One warning is enough.
@@ -244,14 +246,34 @@ impl<const D: usize> Training<'_, D> {
         recorder: &mut Recorder,
     ) -> Result<Option<f64>> {
         let Self { scene, lesson, .. } = self;
-        let mut flow = Flow::<D>::build(scene, &lesson.truth.states[0], None, None)?;
+        let start = learner.first_frames().first().unwrap_or(&lesson.truth.states[0]);
+        let mut flow = Flow::<D>::build(scene, start, None, None)?;
         flow.set_learned(learner.columns(), &outcome.evaluation.parameters)?;
         let steps = (lesson.learn.steps(), &scene.record);
-        let target = (Some(recorder), recording::Flow::Learned);
+        let target = (Some(&mut *recorder), recording::Flow::Learned);
         match run_recorded(&mut flow, steps, target, &mut |_| {}) {
             // If fewer frames were learned, the flow may diverge after them; that is a result, and
             // is logged.
             Err(Error::Diverged { .. }) if outcome.knowledge.window < lesson.learn.frames => {}
+            other => other?,
+        }
+        let learned = LearnedFlow {
+            scene,
+            start,
+            columns: learner.columns(),
+            values: &outcome.evaluation.parameters,
+        };
+        let observations = || lesson.truth.observations(scene, &lesson.learn);
+        match learned.record_gradients(observations, recorder) {
+            // The flow itself is recorded; gradients beyond what a number holds are no reason to lose it.
+            Err(error @ Error::Diverged { .. }) => {
+                let time = lesson.truth.states[0].time;
+                recorder.log(
+                    Level::Warning,
+                    time,
+                    format!("gradients are not recorded: {error}"),
+                )?;
+            }
             other => other?,
         }
         // A learned equation of state can be compared with the true one.

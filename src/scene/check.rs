@@ -20,6 +20,13 @@ impl Scene {
         requirements.extend(self.fluid_requirements());
         requirements.extend(self.motion_requirements());
         requirements.extend(self.initial.field.requirements(self));
+        let gradients = self.record.adjoint || !self.record.sensitivity.is_empty();
+        requirements.push((
+            self.learn.is_some() || !gradients,
+            "record",
+            "neither sensitivity nor adjoint in a scene that learns nothing",
+            "record.sensitivity or record.adjoint without [learn]".to_owned(),
+        ));
         if let Some(learn) = &self.learn {
             requirements.push((
                 learn.field == FieldTarget::Tracers || self.truth.is_some(),
@@ -31,6 +38,7 @@ impl Scene {
             requirements.extend(optimiser_requirements(&learn.optimiser));
             requirements.extend(loss_requirements(learn, self.most_a_side()));
             requirements.extend(learn.lessons.iter().flat_map(|all| all.requirements(learn)));
+            requirements.extend(learn.initial.iter().flat_map(|own| own.requirements(learn)));
             self.must_know(origin, learn)?;
             self.must_start_inside(origin, learn)?;
         }

@@ -12,7 +12,11 @@ impl Scene {
     /// Refuses learned parameters that no term of the scene has.
     pub(super) fn must_know(&self, origin: &str, learn: &Learn) -> Result<()> {
         let known = self.parameters();
-        for (key, list) in [("parameters", &learn.parameters), ("unbounded", &learn.unbounded)] {
+        for (key, list) in [
+            ("learn.parameters", &learn.parameters),
+            ("learn.unbounded", &learn.unbounded),
+            ("record.sensitivity", &self.record.sensitivity),
+        ] {
             let Some(unknown) = list.iter().find(|name| known.place(name).is_none()) else {
                 continue;
             };
@@ -24,7 +28,7 @@ impl Scene {
                 _ => "check the spelling, or name the term that it belongs to",
             };
             return Err(Error::input(
-                format!("{origin}: learn.{key}"),
+                format!("{origin}: {key}"),
                 format!("parameters of this scene: {}", names.join(", ")),
                 unknown,
                 remedy,
@@ -69,12 +73,13 @@ pub(super) fn learn_requirements(learn: &Learn) -> Vec<Requirement> {
     let ordered = learn.windows.windows(2).all(|pair| pair[0] < pair[1]);
     let second_order = matches!(learn.optimiser, Optimiser::LevenbergMarquardt { .. });
     let adjoint = learn.gradient == Gradient::Adjoint;
+    let alone = learn.initial.as_ref().is_some_and(|initial| initial.alone);
     vec![
         (
             sorted.len() == learn.parameters.len()
-                && (learn.model != ModelChoice::Physics || !learn.parameters.is_empty()),
+                && (learn.model != ModelChoice::Physics || !learn.parameters.is_empty() || alone),
             "learn.parameters",
-            "at least one parameter where the model has no network, each once",
+            "at least one parameter where the model has no network (or learn.initial.alone), each once",
             listed(&learn.parameters),
         ),
         (

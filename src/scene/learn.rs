@@ -1,6 +1,6 @@
 //! The learning part of a scene.
 
-use super::{Lessons, StatisticWeights};
+use super::{InitialState, Lessons, StatisticWeights};
 use crate::models::ModelChoice;
 use crate::parameters::Parameter;
 use crate::sensitivity::{Coupling, Gradient, Storage};
@@ -74,6 +74,9 @@ pub struct Learn {
     /// The loss below which the search ends.
     #[serde(default = "defaults::target")]
     pub target: f64,
+    /// The noise of a measured truth, whose first frame is then estimated together with the parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub initial: Option<InitialState>,
     /// Many windows of one or more truths instead of one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lessons: Option<Lessons>,
@@ -175,6 +178,34 @@ pub enum Times {
 }
 
 impl Learn {
+    /// Frames of one step each, from which nothing is learned yet: defaults for everything else.
+    pub fn of_frames(frames: usize) -> Self {
+        Self {
+            model: ModelChoice::default(),
+            parameters: Vec::new(),
+            unbounded: Vec::new(),
+            guess: BTreeMap::new(),
+            after: 0,
+            frames,
+            every: defaults::every(),
+            loss: Weights::default(),
+            mesh: None,
+            field: FieldTarget::default(),
+            increments: Increments::default(),
+            statistics: StatisticWeights::default(),
+            gradient: Gradient::default(),
+            storage: Storage::default(),
+            coupling: Coupling::default(),
+            optimiser: Optimiser::default(),
+            warm_up: None,
+            windows: Vec::new(),
+            iterations: defaults::iterations(),
+            target: defaults::target(),
+            initial: None,
+            lessons: None,
+        }
+    }
+
     /// Number of steps from the first state to the last observed one.
     pub fn steps(&self) -> u64 {
         self.frames as u64 * self.every

@@ -11,6 +11,7 @@ mod check;
 mod check_learn;
 pub mod dns;
 mod guests;
+mod initial_state;
 mod law;
 mod learn;
 mod lessons;
@@ -22,6 +23,7 @@ pub use accuracy::{CalibratedStep, Speed};
 pub(crate) use check::Requirement;
 pub use dns::DnsScene;
 pub use guests::{Guests, Values};
+pub use initial_state::InitialState;
 pub use law::{Constants, Law, Provenance};
 pub use learn::{FieldTarget, Increments, Learn, Optimiser, Times, WarmUp, Weights};
 pub use lessons::{FurtherTruth, Lessons};
@@ -261,11 +263,25 @@ pub struct Record {
     pub momentum_every: u64,
     /// Speed at the bright end of the colour scale; 0 means twice the initial velocity.
     pub speed_scale: f64,
+    /// Parameters by which `train` records the derivatives of every particle's position, velocity and density, on
+    /// `/learned/sensitivity/NAME`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensitivity: Vec<Parameter>,
+    /// Whether `train` records the derivatives of the loss by every particle's position and velocity, on
+    /// `/learned/adjoint`.
+    #[serde(skip_serializing_if = "initial_state::is_false")]
+    pub adjoint: bool,
 }
 
 impl Default for Record {
     fn default() -> Self {
-        Self { every: 1, momentum_every: 50, speed_scale: 0.0 }
+        Self {
+            every: 1,
+            momentum_every: 50,
+            speed_scale: 0.0,
+            sensitivity: Vec::new(),
+            adjoint: false,
+        }
     }
 }
 
@@ -346,6 +362,7 @@ impl Scene {
         (learn.loss, learn.optimiser, learn.windows) = (loss, optimiser, windows);
         (learn.iterations, learn.target) = (iterations, target);
         learn.gradient = Gradient::Auto;
+        learn.initial = None;
         learn.lessons.iter_mut().for_each(|lessons| lessons.batch = None);
         Some(scene)
     }

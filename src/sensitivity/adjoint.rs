@@ -54,10 +54,23 @@ pub fn adjoint_gradient<const D: usize>(
     steps: u64,
     storage: Storage,
 ) -> Result<AdjointGradient> {
+    sweep(flow, state, (steps, storage), None)
+}
+
+/// Which steps' derivatives are kept, and where.
+type Kept<'a, const D: usize> = (&'a (dyn Fn(u64) -> bool + Sync), &'a mut Vec<StepAdjoint<D>>);
+
+fn sweep<const D: usize>(
+    flow: &mut Flow<D>,
+    state: &State<D>,
+    (steps, storage): (u64, Storage),
+    kept: Option<Kept<'_, D>>,
+) -> Result<AdjointGradient> {
     flow.reset(state);
     flow.clear_adjoint();
     let particles = state.positions.len();
     let mut run = Run::new(flow, particles, &[]);
+    run.kept = kept;
     // The whole run stays in the pool: steps are short, and waking a thread for each would cost a
     // thirtieth of the time.
     let loss = in_pool(|| match storage {
@@ -71,6 +84,33 @@ pub fn adjoint_gradient<const D: usize>(
     let Run { flow, steps_run, bytes, .. } = run;
     flow.keep_evaluations(false);
     Ok(AdjointGradient { loss, gradient: flow.adjoint_gradient(), steps_run, bytes })
+}
+
+/// The derivatives of a loss by the state of one step, `∂L/∂(r, v)`: those of the frames after it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepAdjoint<const D: usize> {
+    /// The step.
+    pub step: u64,
+    /// `∂L/∂r`, particle `k` in row `k`.
+    pub positions: Vec<Vector<f64, D>>,
+    /// `∂L/∂v`.
+    pub velocities: Vec<Vector<f64, D>>,
+}
+
+/// As [`adjoint_gradient`], with the derivatives by the state of every step that `keeps` names, the last first. A force
+/// that the step carries stays as it is, except at step 0, where it follows from the state.
+///
+/// # Errors
+/// As [`adjoint_gradient`].
+pub fn adjoint_by_step<const D: usize>(
+    flow: &mut Flow<D>,
+    state: &State<D>,
+    (steps, keeps): (u64, &(dyn Fn(u64) -> bool + Sync)),
+    storage: Storage,
+) -> Result<Vec<StepAdjoint<D>>> {
+    let mut kept = Vec::new();
+    sweep(flow, state, (steps, storage), Some((keeps, &mut kept)))?;
+    Ok(kept)
 }
 
 /// Number of snapshots that fit into a budget beside the tape of one step; all in bytes.
@@ -99,6 +139,7 @@ pub(super) struct Run<'a, const D: usize> {
     given: &'a [FrameAdjoint<D>],
     /// Whether a derivative that is not finite ends the sweep with the step at which it first occurred.
     pub(super) watches: bool,
+    kept: Option<Kept<'a, D>>,
 }
 
 impl<'a, const D: usize> Run<'a, D> {
@@ -108,7 +149,7 @@ impl<'a, const D: usize> Run<'a, D> {
         particles: usize,
         given: &'a [FrameAdjoint<D>],
     ) -> Self {
-        Self { flow, steps_run: 0, bytes: 0, particles, held: 0, given, watches: false }
+        Self { flow, steps_run: 0, bytes: 0, particles, held: 0, given, watches: false, kept: None }
     }
 
     /// The adjoint of the step just completed, with the cotangent of its frame.
@@ -117,9 +158,20 @@ impl<'a, const D: usize> Run<'a, D> {
         let step = self.flow.steps();
         self.give(step);
         self.flow.retreat();
+        self.keep(step - 1);
         match self.watches {
             true => self.must_be_finite(step),
             false => Ok(()),
+        }
+    }
+
+    /// Keeps the derivatives by the state of a step, if they are asked for.
+    fn keep(&mut self, step: u64) {
+        let Some((keeps, kept)) = &mut self.kept else { return };
+        if keeps(step) {
+            let (positions, velocities) = self.flow.state_adjoint();
+            kept.retain(|earlier| earlier.step != step);
+            kept.push(StepAdjoint { step, positions, velocities });
         }
     }
 
@@ -151,6 +203,7 @@ impl<'a, const D: usize> Run<'a, D> {
         (0..steps).try_for_each(|_| self.retreat())?;
         self.give(0);
         self.flow.back_to_start();
+        self.keep(0);
         Ok(())
     }
 
@@ -166,6 +219,7 @@ impl<'a, const D: usize> Run<'a, D> {
         self.reverse(first, steps, snapshots)?;
         self.give(0);
         self.flow.back_to_start();
+        self.keep(0);
         Ok(())
     }
 

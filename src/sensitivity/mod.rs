@@ -10,7 +10,7 @@
 mod adjoint;
 mod rollout;
 
-pub use adjoint::{AdjointGradient, Storage, adjoint_gradient};
+pub use adjoint::{AdjointGradient, StepAdjoint, Storage, adjoint_by_step, adjoint_gradient};
 pub use rollout::{Frame, RecordedRollout, RolloutGradient, RolloutPlan};
 
 use serde::{Deserialize, Serialize};

@@ -19,5 +19,7 @@ mod learning;
 mod lessons;
 #[path = "../noise.rs"]
 mod noise;
+#[path = "../recorded_gradients.rs"]
+mod recorded_gradients;
 #[path = "../recovery_of_parameters.rs"]
 mod recovery_of_parameters;

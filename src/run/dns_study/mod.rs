@@ -136,6 +136,8 @@ pub struct DnsStudy {
     pub quick: bool,
     /// The first seed: of the truths, and of first weights.
     pub seed: u64,
+    /// The laws, some or all of [`LAWS`].
+    pub laws: Vec<StudiedLaw>,
 }
 
 /// The result of a law.
@@ -325,7 +327,7 @@ impl DnsStudy {
     /// [`Error::Input`] where a law is not done, [`Error::File`] where the report cannot be written.
     pub fn conclude(&self) -> Result<Report> {
         let mut results = Vec::new();
-        for law in &LAWS {
+        for law in &self.laws {
             let Some(result) = self.done(law)? else {
                 let remedy = "run the same command again: it goes on where it was";
                 return Err(Error::input(
