@@ -317,6 +317,7 @@ fn one_program_has_every_command_and_understands_misspelt_names() {
         "simulate",
         "import",
         "export-law",
+        "assimilate",
         "evaluate",
         "trade",
         "replay",

@@ -60,6 +60,7 @@ commands! {
     import::Import = "import";
     export::Export = "export";
     export_law::ExportLaw = "export-law";
+    assimilate::Assimilate = "assimilate";
     evaluate::Evaluate = "evaluate";
     trade::Trade = "trade";
     replay::Replay = "replay";

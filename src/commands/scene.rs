@@ -56,7 +56,8 @@ impl SceneArguments {
         Ok(scene)
     }
 
-    fn start_threads(&self) {
+    /// Starts the threads.
+    pub(crate) fn start_threads(&self) {
         let threads = usize::from(self.threads.unwrap_or(0));
         // A second pool in one process would be a bug of ours, and harmless.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();

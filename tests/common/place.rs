@@ -67,6 +67,7 @@ impl Place {
             "import" => env!("CARGO_BIN_EXE_import"),
             "export" => env!("CARGO_BIN_EXE_export"),
             "trade" => env!("CARGO_BIN_EXE_trade"),
+            "assimilate" => env!("CARGO_BIN_EXE_assimilate"),
             "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
             "reproduce" => env!("CARGO_BIN_EXE_reproduce"),
             "replay" => env!("CARGO_BIN_EXE_replay"),

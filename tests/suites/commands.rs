@@ -5,6 +5,8 @@ mod place;
 #[path = "../common/small.rs"]
 mod small;
 
+#[path = "../assimilation.rs"]
+mod assimilation;
 #[path = "../commands.rs"]
 mod commands;
 #[path = "../dns_scenes.rs"]

@@ -8,7 +8,7 @@ use check::{check_coupling, check_gradient};
 use clap::Parser;
 use super::common::{conclude, say, say_json, warn};
 use super::flow::{in_dimension, progress};
-use report::describe;
+pub(super) use report::describe;
 use super::scene::{SceneArguments, describe_choice, explain, reserve};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -141,14 +141,19 @@ fn reserve_output(arguments: &Arguments, scene: &Scene) -> Result<Option<Output>
 }
 
 /// The training, with progress bars for the floor and for the search.
-fn learn_and_record<const D: usize>(
+pub(super) fn learn_and_record<const D: usize>(
     training: &Training<'_, D>,
     learner: &mut Learner<D>,
     guess: Vec<f64>,
 ) -> Result<TrainingReport> {
     let lesson = training.lesson;
     let before = lesson.learn.warm_up.as_ref().map_or(0, |warm_up| warm_up.iterations);
-    let bar = progress((before + lesson.learn.iterations) as u64, "train");
+    let after = lesson.learn.initial.as_ref().map_or(0, |initial| initial.iterations);
+    let search = match &lesson.learn.initial {
+        Some(initial) if initial.alone => 0,
+        _ => before + lesson.learn.iterations,
+    };
+    let bar = progress((search + after) as u64, "train");
     let outcome = training.run(learner, guess, &mut |progress| match progress {
         Progress::Floor => bar.set_message("sampling floor"),
         Progress::HeldOut => bar.set_message("held-out lessons"),
