@@ -95,7 +95,7 @@ fn run<const D: usize>(
     (film, progress): (&Mutex<Film>, &Progress),
 ) -> whirls::Result<()> {
     let mut flow = lock(flow);
-    let record = Record { every, ..scene.record };
+    let record = Record { every, ..scene.record.clone() };
     let mut recorder = match &target {
         None => None,
         Some((path, overwrite)) => {

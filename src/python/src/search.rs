@@ -3,7 +3,7 @@
 use crate::arrays::{Frames, frames};
 use crate::away::{Progress, away};
 use crate::scene::Scene;
-use numpy::{PyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,6 +11,7 @@ use whirls::flow::State;
 use whirls::learn::{Learner, Outcome};
 use whirls::run::{Given, Lesson};
 use whirls::truth::{Truth, summed_densities};
+use whirls::vector::Vector;
 use whirls::{Error, Result};
 
 /// The history of a search, column by column.
@@ -39,6 +40,8 @@ pub(crate) struct Learned {
     warnings: Vec<String>,
     columns: BTreeMap<&'static str, Py<PyArray1<f64>>>,
     trail: Vec<Py<PyArray1<f64>>>,
+    /// Estimated positions and velocities of the first frame, where they are estimated.
+    first_frame: Option<[Py<PyArray2<f64>>; 2]>,
     notes: Vec<Option<String>>,
 }
 
@@ -124,6 +127,8 @@ struct Found {
     gradient: &'static str,
     history: History,
     warnings: Vec<String>,
+    /// Number of particles, positions and velocities of the estimated first frame, row by row.
+    first_frame: Option<(usize, [Vec<f64>; 2])>,
 }
 
 fn search<const D: usize>(
@@ -166,7 +171,12 @@ fn search<const D: usize>(
         Ok(())
     })?;
     let gradient = learner.gradient().name();
-    Ok(Found { names, known: lesson.known, outcome, gradient, history, warnings: lesson.warnings })
+    let first_frame = learner.first_frames().first().map(|state| {
+        let flat = |rows: &[Vector<f64, D>]| rows.iter().flat_map(|row| row.0).collect();
+        (state.positions.len(), [flat(&state.positions), flat(&state.velocities)])
+    });
+    let (known, warnings) = (lesson.known, lesson.warnings);
+    Ok(Found { names, known, outcome, gradient, history, warnings, first_frame })
 }
 
 /// Searches for the parameters that a scene learns.
@@ -193,12 +203,20 @@ pub(crate) fn learn(
 }
 
 fn learned(py: Python<'_>, found: Found) -> PyResult<Learned> {
-    let Found { names, known, outcome, gradient, history, warnings } = found;
+    let Found { names, known, outcome, gradient, history, warnings, first_frame } = found;
     let array = |values: Vec<f64>| PyArray1::from_vec(py, values).unbind();
     let trail = (0..names.len()).map(|k| history.parameters.iter().map(|row| row[k]).collect());
     let trail = trail.map(array).collect();
     let knowledge = serde_json::to_string(&outcome.knowledge)
         .map_err(|error| pyo3::exceptions::PyRuntimeError::new_err(error.to_string()))?;
+    let rows = |(count, [r, v]): (usize, [Vec<f64>; 2])| -> PyResult<[Py<PyArray2<f64>>; 2]> {
+        let shape = [count, r.len() / count.max(1)];
+        let array = |flat| -> PyResult<Py<PyArray2<f64>>> {
+            Ok(PyArray1::from_vec(py, flat).reshape(shape)?.unbind())
+        };
+        Ok([array(r)?, array(v)?])
+    };
+    let first_frame = first_frame.map(rows).transpose()?;
     Ok(Learned {
         parameters: names.into_iter().zip(outcome.evaluation.parameters).collect(),
         known,
@@ -211,6 +229,7 @@ fn learned(py: Python<'_>, found: Found) -> PyResult<Learned> {
         warnings,
         columns: history.columns.into_iter().map(|(name, c)| (name, array(c))).collect(),
         trail,
+        first_frame,
         notes: history.notes,
     })
 }

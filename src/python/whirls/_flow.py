@@ -43,6 +43,8 @@ class Flow:
     time : float
         Simulation time of the start.
 
+    Notes
+    -----
     Arrays that are returned are copies. Runs release the interpreter's lock, and Ctrl-C stops them within a step.
 
     Raises :class:`whirls.InputError` and :class:`whirls.DivergedError`.

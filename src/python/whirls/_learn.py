@@ -9,7 +9,7 @@ from typing import Any, Mapping
 
 import numpy as np
 
-from . import _whirls
+from . import _plots, _whirls
 from ._arrays import as_array
 from ._errors import refuse
 from ._frames import Frames
@@ -41,6 +41,8 @@ class Learned:
         One entry an iteration, zero being the guess: ``iteration``, ``window`` (frames), ``loss`` and its parts
         ``trajectory``, ``field``, ``kl``, ``gradient_norm``, ``rate`` (damping or learning rate), and each parameter by
         name, weights as ``"weights" (I, W)``.
+    first_frame : tuple of (N, d) arrays or None
+        Positions and velocities of the first frame, where ``learn.initial`` has them estimated.
     truth : dict or None
         True values, where the truth was run from the scene.
     lines : list of str
@@ -59,6 +61,7 @@ class Learned:
     stopped_by: str
     converged: bool
     history: dict[str, np.ndarray]
+    first_frame: tuple[np.ndarray, np.ndarray] | None
     truth: dict[str, float] | None
     remarks: list[str]
     lines: list[str] = field(repr=False)
@@ -67,13 +70,11 @@ class Learned:
 
     def plot(self, ax: Any = None) -> Any:
         """Draws the loss over iterations, and returns the axes (needs matplotlib)."""
-        import matplotlib.pyplot as plt
+        return _plots.plot_loss(self.history, ax)
 
-        if ax is None:
-            ax = plt.figure().add_subplot()
-        ax.plot(self.history["iteration"], self.history["loss"], marker=".")
-        ax.set(xlabel="iteration", ylabel="loss", yscale="log")
-        return ax
+    def plot_parameters(self, ax: Any = None) -> Any:
+        """Draws the parameters over iterations beside their true values, and returns the axes (needs matplotlib)."""
+        return _plots.plot_parameters(self.history, self.truth, ax)
 
 
 def _observed(scene: Scene, truth: Any) -> tuple[Any, Any]:
@@ -123,6 +124,8 @@ def learn(
     progress
         True for a bar of tqdm, or an object with ``update(n)``, fed after every iteration.
 
+    Notes
+    -----
     Raises :class:`whirls.InputError`, and :class:`whirls.DivergedError` where nothing could be evaluated.
 
     >>> small = {"fluid.particles_per_side": 8, "learn.windows": []}
@@ -163,6 +166,7 @@ def _learned(found: Any) -> Learned:
         stopped_by=known["stopped_by"],
         converged=known["converged"],
         history=history,
+        first_frame=None if found.first_frame is None else tuple(found.first_frame),
         truth=None if found.known is None else dict(zip(names, found.known)),
         remarks=known["remarks"],
         lines=found.lines,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import _whirls
+from . import _plots, _whirls
 from ._frames import Frames
 
 if TYPE_CHECKING:
@@ -98,18 +98,38 @@ class Recording:
 
     def plot_loss(self, ax: Any = None) -> Any:
         """Draws the loss over the iterations of a training, and returns the axes (needs matplotlib)."""
-        import matplotlib.pyplot as plt
+        return _plots.plot_loss(self.iterations, ax)
 
-        if ax is None:
-            ax = plt.figure().add_subplot()
-        columns = self.iterations
-        ax.plot(columns["iteration"], columns["loss"], marker=".")
-        ax.set(xlabel="iteration", ylabel="loss", yscale="log")
-        return ax
+    def plot_parameters(self, ax: Any = None) -> Any:
+        """Draws the learned parameters over the iterations, without weights, and returns the axes (needs matplotlib)."""
+        return _plots.plot_parameters(self.iterations, None, ax)
 
     def plot_particles(self, frame: int = -1, ax: Any = None, **how: Any) -> Any:
         """Draws the particles of a frame of the truth; see :meth:`Frames.plot`."""
         return self.truth.plot(frame, ax, **how)
+
+    def plot_vorticity(self, frame: int = -1, *, flow: str = "truth", ax: Any = None, **how: Any) -> Any:
+        """Draws the vorticity on a plane, of the ``"truth"`` or the ``"learned"`` flow; see :meth:`Frames.plot_vorticity`."""
+        return self._of(flow).plot_vorticity(frame, ax=ax, **how)
+
+    def plot_spectra(self, frame: int = -1, ax: Any = None) -> Any:
+        """Draws the energy spectra of a frame of both flows, as far as there are any; see :meth:`Frames.spectrum`."""
+        ax = _plots.axes(ax)
+        for flow in ("truth", "learned"):
+            if self._native.frame_count(flow):
+                self._of(flow).plot_spectrum(frame, ax, label=flow)
+        return ax
+
+    def plot_increments(self, frame: int = -1, ax: Any = None) -> Any:
+        """Draws the densities of velocity increments of both flows; see :meth:`Frames.plot_increments`."""
+        ax = _plots.axes(ax)
+        for flow in ("truth", "learned"):
+            if self._native.frame_count(flow):
+                self._of(flow).plot_increments(frame, ax=ax, label=flow)
+        return ax
+
+    def _of(self, flow: str) -> Frames:
+        return self.learned if flow == "learned" else self.truth
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{self._native.frame_count(flow)} of the {flow}" for flow in ("truth", "learned"))

@@ -158,6 +158,8 @@ def rollout(
         ``{"bytes": n}`` or ``"500 MB"`` of snapshots, between which steps are repeated. The derivatives have the same
         bits for all. By default that of the scene, which is ``"all"`` unless it says otherwise.
 
+    Notes
+    -----
     Derivatives are those of the discrete steps that are run, exact to round-off. Positions lie in a periodic box: take
     differences with :meth:`Scene.nearest_image`.
 

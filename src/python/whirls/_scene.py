@@ -23,6 +23,8 @@ class Scene:
         Values that replace keys, with dots between the levels, as ``--set`` of the commands:
         ``{"fluid.particles_per_side": 16, "forcing": {"kind": "none"}}``. A dict replaces a whole table.
 
+    Notes
+    -----
     Everything is dimensionless; the reference density is 1. A scene that asks for an accuracy has its step chosen here,
     which runs short flows.
 
@@ -33,6 +35,8 @@ class Scene:
     whirls.FileError
         For a file that cannot be read.
 
+    Examples
+    --------
     >>> scene = whirls.Scene("inverse-2d", {"fluid.particles_per_side": 12})
     >>> scene.particles, scene.dimension
     (144, 2)
