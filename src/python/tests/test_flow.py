@@ -106,6 +106,8 @@ def test_an_interrupt_from_another_thread_stops_a_run_within_a_step_and_the_flow
     child = textwrap.dedent(
         """
         import os, signal, threading, whirls
+        # A shell may have started all of this with the signal ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         flow = whirls.Flow(whirls.Scene("inverse-2d", {"fluid.particles_per_side": 24}))
         threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
         try:
