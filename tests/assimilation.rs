@@ -38,6 +38,7 @@ fn what_assimilation_cannot_know_is_asked_for() {
     let many = [&truth[..], &["--position", "0.01", "--frames", "70"]].concat();
     place.refuses("assimilate", &many, &["71 frames", "found 7"]);
     place.refuses("assimilate", &[&truth[..], &["--position", "-1"]].concat(), &["positive"]);
+    place.refuses("assimilate", &[&truth[..], &["--explain"]].concat(), &["--explain", "train"]);
     let noise = ["small.toml", "--set", "learn.initial={position=0.0}"];
     place.refuses("train", &noise, &["learn.initial.position", "positive"]);
 }

@@ -1,6 +1,7 @@
 //! `assimilate`: finds the first state of a measured flow whose law is known.
 
 use super::common::{conclude, say, say_json, warn};
+use super::evaluate::positive;
 use super::flow::{in_dimension, progress};
 use super::scene::{SceneArguments, reserve};
 use super::train::{describe, learn_and_record};
@@ -33,7 +34,7 @@ pub(super) struct Arguments {
     /// Standard deviation of a measured component of velocity [default: velocities are not compared].
     #[arg(long, value_name = "SPEED", value_parser = positive, allow_negative_numbers = true)]
     velocity: Option<f64>,
-    /// Frames after the first [default: those of the law's training, or 10, as far as there are so many].
+    /// Frames after the first [default: those of the law's training, or 10; at most those of the recording].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
     /// Take the recording of --truth even where it does not fit itself or the scene.
@@ -47,12 +48,6 @@ pub(super) struct Arguments {
     overwrite: bool,
     #[command(flatten)]
     common: SceneArguments,
-}
-
-/// A positive number.
-fn positive(text: &str) -> std::result::Result<f64, String> {
-    let number = text.trim().parse::<f64>().ok().filter(|x| *x > 0.0 && x.is_finite());
-    number.ok_or_else(|| "expected a positive number".to_owned())
 }
 
 /// Frames after the first, where nothing says how many.
@@ -80,6 +75,10 @@ fn is_recording(law: &str) -> bool {
 fn scene_of(arguments: &Arguments) -> Result<Scene> {
     let Arguments { law, common, .. } = arguments;
     common.start_threads();
+    if common.explain {
+        let remedy = "give the scene to `train --explain`";
+        return Err(Error::input("--explain", "no such option with assimilate", "it", remedy));
+    }
     let mut scene = match is_recording(law) {
         false => Scene::open(law, &common.overrides)?,
         true => {

@@ -81,7 +81,7 @@ fn finite(text: &str) -> std::result::Result<f64, String> {
 }
 
 /// A positive number.
-fn positive(text: &str) -> std::result::Result<f64, String> {
+pub(super) fn positive(text: &str) -> std::result::Result<f64, String> {
     finite(text).ok().filter(|x| *x > 0.0).ok_or_else(|| "expected a positive number".to_owned())
 }
 

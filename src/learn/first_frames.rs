@@ -24,10 +24,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct FirstFrames {
-    /// `χ²` of the guess with the measured first frames, per measured number; infinite, and `null` in JSON, where its flow
-    /// diverges.
-    #[serde(skip)]
-    pub initial: f64,
     /// `χ²` per degree of freedom at the end: about one where noise and law are as stated.
     pub chi_squared: f64,
     /// Root mean square of how far positions were moved, in units of their noise.
@@ -115,7 +111,7 @@ impl<const D: usize> Learner<D> {
             course.iterations = 1;
             show(&course, None)?;
         }
-        self.conclude(&measured, &mut course, (initial, &mut outcome))?;
+        self.conclude(&measured, &mut course, &mut outcome)?;
         interrupt::check()?;
         outcome.evaluation = evaluation(&course, count);
         outcome.initial_loss = initial;
@@ -148,7 +144,9 @@ impl<const D: usize> Learner<D> {
         (parameters, first): (Vec<f64>, Vec<State<D>>),
         alone: bool,
     ) -> Result<Course<D>> {
-        let mut here = measured.at(parameters, first).map_err(|error| self.explain(error, &[]))?;
+        let mut here = measured
+            .at(parameters.clone(), first)
+            .map_err(|error| self.explain(error, &parameters))?;
         let physical = |k: &usize| !self.columns[*k].is_weight();
         let mut free: Vec<usize> = (0..self.columns.len()).collect();
         let mut left = Vec::new();
@@ -194,7 +192,7 @@ impl<const D: usize> Learner<D> {
         &self,
         measured: &Measured<D>,
         course: &mut Course<D>,
-        (initial, outcome): (f64, &mut Outcome),
+        outcome: &mut Outcome,
     ) -> Result<()> {
         let covariance = match course.covariance.take() {
             Some(covariance) => covariance,
@@ -211,7 +209,6 @@ impl<const D: usize> Learner<D> {
             degrees_of_freedom: Some(freedom),
             residual_per_freedom: Some(chi_squared),
             first_frames: Some(FirstFrames {
-                initial,
                 chi_squared,
                 positions_moved: positions.unwrap_or_default(),
                 velocities_moved: velocities,

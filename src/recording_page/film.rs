@@ -228,7 +228,7 @@ fn range(all: &[Values], own: &Values) -> f64 {
     sizes.get(place).copied().filter(|range| *range > 0.0).unwrap_or(1.0)
 }
 
-/// The places of particles within half a smoothing length of the plane, every so many if they are too many.
+/// The places of particles within half a smoothing length of the plane; of more than [`MOST_DOTS`] an even sample.
 fn near(plane: &Plane, positions: &[[f64; 3]]) -> Vec<[u16; 2]> {
     let inside = |place: &&[f64; 3]| plane.distance(**place).abs() <= 0.5 * plane.h;
     let code = |place: &[f64; 3], axis: usize| {

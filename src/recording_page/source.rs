@@ -33,7 +33,7 @@ pub(super) struct Flows<'a> {
     /// The frame of each flow at each moment.
     frames: Vec<Vec<Option<usize>>>,
     pub(super) moments: Vec<Moment>,
-    /// Frames of the first flow, of which the moments are every so many.
+    /// Number of frames of the first flow; the moments are an even sample of them.
     pub(super) all: usize,
     pub(super) space: Space,
     pub(super) dimension: usize,

@@ -158,7 +158,10 @@ impl<'a, const D: usize> Run<'a, D> {
         let step = self.flow.steps();
         self.give(step);
         self.flow.retreat();
-        self.keep(step - 1);
+        // The derivatives by the first state are not whole before the adjoint of the start.
+        if step > 1 {
+            self.keep(step - 1);
+        }
         match self.watches {
             true => self.must_be_finite(step),
             false => Ok(()),
@@ -170,7 +173,6 @@ impl<'a, const D: usize> Run<'a, D> {
         let Some((keeps, kept)) = &mut self.kept else { return };
         if keeps(step) {
             let (positions, velocities) = self.flow.state_adjoint();
-            kept.retain(|earlier| earlier.step != step);
             kept.push(StepAdjoint { step, positions, velocities });
         }
     }
